@@ -1,10 +1,13 @@
-"""Execute a C program in NumPy scalars of its own type: the bits that compiled code has to give."""
+"""Execute a C program in NumPy scalars of its own type: the bits that compiled code has to give.
+
+Every number that a phase knows has a cell, and statements are functions of the cells and of the
+indices of the loops around them. They are made once.
+"""
 
 from __future__ import annotations
 
 import operator as arithmetic
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,8 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import Element, Operator, Space
-from fkgen.errors import UnfitError
+from fkgen.errors import InternalError, UnfitError
+from fkgen.symbolic.index import Index, value
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -64,28 +68,42 @@ class Machine:
     ) -> None:
         """Start anew with other numbers than the program's: a constructor, functions, operators."""
         self.real, self.elementary, self.arithmetic = real, elementary, arithmetic
-        initial = dict(self.program.initial)
-        self.ports = {
-            port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]
-            for port in self.program.ports
+        self.code: dict[int, _Code] = {}
+        self.start({})
+
+    def start(self, parameters: Mapping[str, float]) -> None:
+        """Start from the prior of the spec, with the parameters of sample 0."""
+        program, real, initial = self.program, self.real, dict(self.program.initial)
+        told = self._parameters({**dict(program.parameters), **parameters})
+        prior = {
+            name: [real(v) for v in values]
+            for name, values in zip(("x", "P"), program.prior, strict=True)
         }
-        if self.program.start is not None:
-            prior = zip(("x", "P"), self.program.prior, strict=True)
-            given = {
-                Element(Space.INPUT, name, i): self.real(value)
-                for name, values in prior
+        if program.origin is not None:
+            self._run(program.origin, told, prior, [])
+        self.ports = {
+            port.name: [real(v) for v in initial.get(port.name, (0.0,) * port.size)]
+            if not port.prior
+            else prior[port.prior] * (port.size // len(prior[port.prior]))
+            for port in program.ports
+        }
+        if program.start is not None:
+            given: dict[ir.Operand, Number] = {
+                Element(Space.INPUT, name, i): value
+                for name, values in prior.items()
                 for i, value in enumerate(values)
             }
-            self._run(self.program.start, given, self.ports, [])
+            self._run(program.start, {**told, **given}, self.ports, [])
+
+    def _parameters(self, values: Mapping[str, float]) -> dict[ir.Operand, Number]:
+        return {Element(Space.PARAMETER, name, None): self.real(v) for name, v in values.items()}
 
     def step(
         self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
-        given: dict[ir.Operand, Number] = {
-            Element(Space.PARAMETER, name, None): real(v) for name, v in parameters.items()
-        }
+        given = self._parameters(parameters)
         for name, values in (("u", u), ("y", y)):
             given |= {Element(Space.INPUT, name, i): real(v) for i, v in enumerate(values)}
         present = [not np.isnan(v) for v in y]
@@ -108,66 +126,159 @@ class Machine:
         present: list[bool],
     ) -> Status:
         """Run one phase on an instance, which it changes."""
-        run = _Run(self, {**given, **dict(self._elements(phase, state))}, present)
-        status = run.body(phase.body)
-        for element, value in run.memory.items():
-            if isinstance(element, Element) and element.space is Space.NEXT:
-                state[element.name][element.index or 0] = value
+        if id(phase) not in self.code:
+            self.code[id(phase)] = _Code(self, phase)
+        code = self.code[id(phase)]
+        cells = code.cells.copy()
+        for element, number in given.items():
+            if (at := code.found(element)) is not None:
+                cells[at] = number
+        for name, base in code.bases(Space.SELF):
+            cells[base : base + len(state[name])] = state[name]
+        status = code.run(cells, {}, present) or Status.OK
+        for name, base in code.bases(Space.NEXT):
+            now = zip(state[name], cells[base : base + len(state[name])], strict=True)
+            state[name][:] = [old if new is None else new for old, new in now]
         return status
 
-    def _elements(
-        self, phase: ir.Phase, state: Mapping[str, list[Number]]
-    ) -> Iterator[tuple[Element, Number]]:
-        """The instance that a phase reads, and its locals."""
-        for port in self.program.ports:
-            for i, value in enumerate(state[port.name]):
-                yield Element(Space.SELF, port.name, i if port.shape else None), value
+
+#: A statement: it returns a status where it refuses.
+_Statement = Callable[[list[Any], dict[str, int], list[bool]], Status | None]
+_Getter = Callable[[list[Any], dict[str, int]], Any]
+
+
+class _Code:
+    """One phase as functions of its cells."""
+
+    def __init__(self, machine: Machine, phase: ir.Phase) -> None:
+        self.machine = machine
+        self.cells: list[Any] = []
+        self._homes: dict[Any, int] = {}  # where arrays begin, and temporaries and constants are
+        program = machine.program
+        self._sizes = {port.name: port.size for port in program.ports}
+        self._sizes |= {"u": len(program.inputs), "y": len(program.outputs)}
+        self._sizes |= dict(zip(("x", "P"), map(len, program.prior), strict=True))
         for local in phase.locals:
-            for i in range(local.size):
-                place = i if local.size > 1 else None
-                yield Element(Space.LOCAL, local.name, place), self.real(local.initial or 0.0)
+            home = self._home((Space.LOCAL, local.name), local.size)
+            values = local.values or (local.initial or 0.0,) * local.size
+            self.cells[home : home + local.size] = map(machine.real, values)
+        self.run = self._body(phase.body)
 
+    def _home(self, key: Any, size: int = 1) -> int:
+        if key not in self._homes:
+            self._homes[key] = len(self.cells)
+            self.cells += [None] * size
+        return self._homes[key]
 
-@dataclass(slots=True)
-class _Run:
-    """One phase: what it reads and writes comes and goes with it."""
+    def found(self, element: Element) -> int | None:
+        """The cell of an element, if the phase has one."""
+        home = self._homes.get((element.space, element.name))
+        return None if home is None else home + int(value(element.index or 0, {}))
 
-    machine: Machine
-    memory: dict[ir.Operand, Number]
-    present: list[bool]
+    def bases(self, space: Space) -> list[tuple[str, int]]:
+        """The arrays of a space, and where they begin."""
+        arrays = [(key, home) for key, home in self._homes.items() if isinstance(key, tuple)]
+        return [(key[1], home) for key, home in arrays if key[0] is space]
 
-    def body(self, body: ir.Body) -> Status:
-        for node in body:
-            status = self.statement(node)
-            if status is not Status.OK:
-                return status
-        return Status.OK
+    def _cell(self, operand: ir.Operand) -> tuple[int, Index | None]:
+        """Where an operand is; what loops add to that."""
+        match operand:
+            case ir.Literal(number):
+                home = self._home(f"{number!r}")
+                self.cells[home] = self.machine.real(number)
+                return home, None
+            case Element(space, name, index):
+                size = 1 if space is Space.PARAMETER else self._sizes.get(name, 1)
+                home = self._home((space, name), size)
+                return (home, index) if isinstance(index, Index) else (home + (index or 0), None)
+        return self._home(operand), None
 
-    def statement(self, node: ir.Statement) -> Status:
+    def _getter(self, operand: ir.Operand) -> _Getter:
+        home, index = self._cell(operand)
+        if index is None:
+            return lambda cells, _: cells[home]
+        return lambda cells, variables: cells[home + index.at(variables)]
+
+    def _setter(self, target: ir.Operand, get: _Getter) -> _Statement:
+        home, index = self._cell(target)
+
+        def put(cells: list[Any], variables: dict[str, int], _: list[bool]) -> None:
+            at = home if index is None else home + index.at(variables)
+            cells[at] = get(cells, variables)
+
+        return put
+
+    def _body(self, body: ir.Body) -> _Statement:
+        steps = [self._statement(node) for node in body if not isinstance(node, ir.Heading)]
+
+        def run(cells: list[Any], variables: dict[str, int], present: list[bool]) -> Status | None:
+            for step in steps:
+                if (status := step(cells, variables, present)) is not None:
+                    return status
+            return None
+
+        return run
+
+    def _statement(self, node: ir.Statement) -> _Statement:
         match node:
             case ir.Operate(target, operator, arguments):
-                values = [self.value(argument) for argument in arguments]
-                if operator.is_function:
-                    self.memory[target] = self.machine.elementary(operator, values)
-                else:
-                    self.memory[target] = self.machine.arithmetic[operator](*values)
-            case ir.Copy(to, value) | ir.Assign(to, value):
-                self.memory[to] = self.value(value)
-            case ir.Require(required, kind, status):
-                if not all(HOLDS[kind](self.value(value)) for value in required):
-                    return status
-            case ir.IfPresent(row, body) if not isinstance(row, ir.RowArgument):
-                if any(self.present) if row is None else self.present[row]:
-                    return self.body(body)
-            case ir.IfPositive(value, body):
-                if self.value(value) > 0:
-                    return self.body(body)
-        return Status.OK
+                return self._setter(target, self._operation(operator, arguments))
+            case ir.Copy(target, kept) | ir.Assign(target, kept):
+                return self._setter(target, self._getter(kept))
+            case ir.Require():
+                return self._require(node)
+            case ir.IfPresent() | ir.IfPositive():
+                return self._condition(node)
+            case ir.For():
+                return self._loop(node)
+        raise InternalError(f"no execution of {node}")
 
-    def value(self, operand: ir.Operand) -> Number:
-        if isinstance(operand, ir.Literal):
-            return self.machine.real(operand.value)
-        return self.memory[operand]
+    def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
+        gets, machine = [self._getter(argument) for argument in arguments], self.machine
+        if operator.is_function:
+            return lambda cells, at: machine.elementary(operator, [get(cells, at) for get in gets])
+        do, first = machine.arithmetic[operator], gets[0]
+        if len(gets) == 1:
+            return lambda cells, at: do(first(cells, at))
+        second = gets[1]
+        return lambda cells, at: do(first(cells, at), second(cells, at))
+
+    def _require(self, node: ir.Require) -> _Statement:
+        gets, holds = [self._getter(each) for each in node.values], HOLDS[node.kind]
+
+        def run(cells: list[Any], variables: dict[str, int], _: list[bool]) -> Status | None:
+            held = all(holds(get(cells, variables)) for get in gets)
+            return None if held else node.status
+
+        return run
+
+    def _condition(self, node: ir.IfPresent | ir.IfPositive) -> _Statement:
+        body = self._body(node.body)
+        get = self._getter(node.value) if isinstance(node, ir.IfPositive) else None
+        row = node.row if isinstance(node, ir.IfPresent) else None
+        if isinstance(row, ir.RowArgument):
+            raise InternalError("a row of a routine in a program")
+
+        def run(cells: list[Any], variables: dict[str, int], present: list[bool]) -> Status | None:
+            if get is not None:
+                holds = get(cells, variables) > 0
+            else:
+                holds = any(present) if row is None else present[value(row, variables)]
+            return body(cells, variables, present) if holds else None
+
+        return run
+
+    def _loop(self, node: ir.For) -> _Statement:
+        body, name = self._body(node.body), node.index
+
+        def run(cells: list[Any], variables: dict[str, int], present: list[bool]) -> Status | None:
+            for i in node.rounds(variables):
+                variables[name] = i
+                if (status := body(cells, variables, present)) is not None:
+                    return status
+            return None
+
+        return run
 
 
 def self_test_vectors(program: ir.CProgram) -> ir.Vectors:

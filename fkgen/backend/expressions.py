@@ -48,20 +48,44 @@ def _stored(body: Body, uses: Counter[Temp]) -> Body:
     """Let operations whose result goes to one place, and nowhere else, store it themselves."""
     nodes: dict[int, Statement] = dict(enumerate(body))
     origin = {n.target: i for i, n in enumerate(body) if isinstance(n, Operate)}
-    last: dict[Element, int] = {}  # where an element was used last
+    last = _LastUse()
     for i, node in enumerate(body):
-        if isinstance(node, ir.Condition):
+        if isinstance(node, ir.Nested):
             nodes[i] = replace(node, body=_stored(node.body, uses))
         if isinstance(node, Assign) and isinstance(node.value, Temp) and uses[node.value] == 1:
             at = origin.get(node.value, i)
             source = body[at]
             called = any(ir.every(ir.Call, body[at:i]))
-            if isinstance(source, Operate) and not called and last.get(node.target, -1) <= at:
+            if isinstance(source, Operate) and not called and last.of(node.target) <= at:
                 value = Expression(source.operator, source.arguments)
                 nodes[at] = Assign(node.target, value)
                 del nodes[i]
-        last |= dict.fromkeys(ir.elements((node,)), i)
+        last.take(ir.elements((node,)), i)
     return tuple(nodes[i] for i in sorted(nodes))
+
+
+class _LastUse:
+    """Where elements were used last; one that loops move may be any of its array."""
+
+    def __init__(self) -> None:
+        self._places: dict[Element, int] = {}
+        self._moving: dict[tuple[ir.Space, str], int] = {}
+        self._arrays: dict[tuple[ir.Space, str], int] = {}
+
+    def take(self, elements: list[Element], at: int) -> None:
+        """Elements are used at this place."""
+        for each in elements:
+            key = each.space, each.name
+            self._places[each] = self._arrays[key] = at
+            if each.moves:
+                self._moving[key] = at
+
+    def of(self, element: Element) -> int:
+        """The last place where an element may have been used; -1 if there is none."""
+        key = element.space, element.name
+        if element.moves:
+            return self._arrays.get(key, -1)
+        return max(self._places.get(element, -1), self._moving.get(key, -1))
 
 
 def _joined(
@@ -71,7 +95,7 @@ def _joined(
     nodes: list[Statement] = []
     for each in body:
         node = each
-        if isinstance(node, ir.Condition):
+        if isinstance(node, ir.Nested):
             node = replace(node, body=_joined(node.body, uses, fits, depth + 1))
         elif isinstance(node, ir.Require) and nodes and isinstance(before := nodes[-1], ir.Require):
             if (before.kind, before.status) == (node.kind, node.status):
@@ -125,7 +149,7 @@ def _copied(body: Body) -> Body:
                 run.append((to, source))
                 continue
         close()
-        if isinstance(node, ir.Condition):
+        if isinstance(node, ir.Nested):
             nodes.append(replace(node, body=_copied(node.body)))
         else:
             nodes.append(node)

@@ -1,14 +1,15 @@
-"""The C program as data: straight-line statements under a few conditions, no C syntax yet."""
+"""The C program as data: statements under a few conditions and in loops, no C syntax yet."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, TypeVar
 from typing import Literal as Either
 
+from fkgen.symbolic.index import Index, Whole, names_in, value
 from fkgen.symbolic.interface import VERDICTS, Kind, Outcome, Port, Status
 
 Scalar = Either["double", "float"]
@@ -89,9 +90,20 @@ class Element:
 
     space: Space
     name: str
-    index: int | None
+    index: Whole | None
 
-    def shifted(self, by: int) -> Element:
+    @property
+    def moves(self) -> bool:
+        """Whether loops decide which element it is."""
+        return isinstance(self.index, Index)
+
+    def may_be(self, other: Element) -> bool:
+        """Whether both can be the same number."""
+        if (self.space, self.name) != (other.space, other.name):
+            return False
+        return self.index == other.index or self.moves or other.moves
+
+    def shifted(self, by: Whole) -> Element:
         """The element so many places on; a scalar stays itself."""
         return self if self.index is None else replace(self, index=self.index + by)
 
@@ -157,7 +169,7 @@ class RowArgument:
     index: int
 
 
-Row = int | RowArgument
+Row = Whole | RowArgument
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +204,20 @@ class IfPositive:
 
 
 @dataclass(frozen=True, slots=True)
+class For:
+    """Run ``body`` for index = begin, ..., end - 1."""
+
+    index: str
+    begin: Whole
+    end: Whole
+    body: Body
+
+    def rounds(self, variables: Mapping[str, int]) -> range:
+        """The values of its index where those of the loops around it are known."""
+        return range(value(self.begin, variables), value(self.end, variables))
+
+
+@dataclass(frozen=True, slots=True)
 class Heading:
     """What the following statements do."""
 
@@ -213,17 +239,22 @@ class Call:
 
 
 Condition = IfPresent | IfPositive
-Statement = Operate | Copy | CopyArray | Assign | Require | Condition | Heading | Call
+Nested = Condition | For
+Statement = Operate | Copy | CopyArray | Assign | Require | Nested | Heading | Call
 Body = tuple[Statement, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Local:
-    """A local array (or scalar, if ``size`` is 1), zeroed first where ``initial`` is given."""
+    """A local array (or scalar, if ``size`` is 1), zeroed first where ``initial`` is given.
+
+    With ``values`` it is a table of constants.
+    """
 
     name: str
     size: int
     initial: float | None
+    values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,6 +361,8 @@ class CProgram:
     predict: Phase
     closing: Phase | None = None
     start: Phase | None = None
+    #: Computes x and P of the prior, where they depend on parameters
+    origin: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
     #: Rows with correlated noises; None where an update after an update is refused
     repeats: tuple[tuple[int, ...], ...] | None = None
@@ -356,9 +389,9 @@ class CProgram:
 
     @property
     def verbs(self) -> dict[str, Phase]:
-        """Update, closing, predict and start by the names of their functions, those there are."""
+        """All phases there are by the names of their functions."""
         phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
-        phases["begin"] = self.start
+        phases |= {"prior": self.origin, "begin": self.start}
         return {verb: phase for verb, phase in phases.items() if phase is not None}
 
     @property
@@ -395,13 +428,26 @@ class CProgram:
         return _flops(self.update, self.predict)
 
     @property
+    def statements(self) -> int:
+        """The same as they stand in the text, where loops repeat them."""
+        nodes = (
+            node for phase in (self.update, self.predict) for node in every(Operate, phase.body)
+        )
+        return sum(1 for node in nodes if not node.operator.is_function)
+
+    @property
     def closing_flops(self) -> int:
         """The same of the closing."""
         return 0 if self.closing is None else _flops(self.closing)
 
 
 def _operations(*phases: Phase) -> Counter[Operator]:
-    return Counter(node.operator for phase in phases for node in every(Operate, phase.body))
+    found: Counter[Operator] = Counter()
+    for phase in phases:
+        for node, times in counted(phase.body):
+            if isinstance(node, Operate):
+                found[node.operator] += times
+    return found
 
 
 def _flops(*phases: Phase) -> int:
@@ -418,6 +464,7 @@ _PARTS: dict[type, tuple[str, ...]] = {
     Require: ("values",),
     IfPresent: ("row", "body"),
     IfPositive: ("value", "body"),
+    For: ("body",),
     Call: ("arguments", "constants", "tables", "rows"),
     Heading: (),
 }
@@ -444,11 +491,62 @@ def numbered(node: Any) -> Any:
 
 
 def walk(body: Body) -> Iterator[Statement]:
-    """Every statement, those under conditions too, in order."""
+    """Every statement, those under conditions and in loops too, in order."""
     for node in body:
         yield node
-        if isinstance(node, Condition):
+        if isinstance(node, Nested):
             yield from walk(node.body)
+
+
+def counted(
+    body: Body, loops: tuple[For, ...] = (), times: int = 1
+) -> Iterator[tuple[Statement, int]]:
+    """Every statement, and how often it is run if every condition holds."""
+    for node in body:
+        yield node, times
+        if isinstance(node, For):
+            around = (*loops, node)
+            yield from counted(node.body, around, _times(around, {}))
+        elif isinstance(node, Condition):
+            yield from counted(node.body, loops, times)
+
+
+def _times(loops: tuple[For, ...], known: Mapping[str, int]) -> int:
+    """How often the innermost of loops comes round."""
+    first, *rest = loops
+    rounds = first.rounds(known)
+    if not rest:
+        return len(rounds)
+    return sum(_times(tuple(rest), {**known, first.index: i}) for i in rounds)
+
+
+def inside(body: Body, loops: tuple[For, ...] = ()) -> Iterator[tuple[Statement, tuple[For, ...]]]:
+    """Every statement, and the loops that it is in, the outermost first."""
+    for node in body:
+        yield node, loops
+        if isinstance(node, Nested):
+            around = (*loops, node) if isinstance(node, For) else loops
+            yield from inside(node.body, around)
+
+
+def _rounds(loops: tuple[For, ...], known: dict[str, int]) -> Iterator[dict[str, int]]:
+    """Every combination of values that the indices of loops take, in order."""
+    if not loops:
+        yield known
+        return
+    for i in loops[0].rounds(known):
+        yield from _rounds(loops[1:], {**known, loops[0].index: i})
+
+
+def places(index: Whole | None, loops: tuple[For, ...]) -> list[int | None]:
+    """All values of an index in these loops, in order."""
+    if not isinstance(index, Index):
+        return [index]
+    needed = {*names_in(index)}
+    for loop in reversed(loops):  # loops that bound those that count
+        needed |= {*names_in(loop.begin, loop.end)} if loop.index in needed else set()
+    kept = tuple(loop for loop in loops if loop.index in needed)
+    return [index.at(known) for known in _rounds(kept, {})]
 
 
 def every(kind: type[T], body: Body) -> Iterator[T]:

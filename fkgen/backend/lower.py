@@ -22,8 +22,9 @@ from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
+from fkgen.symbolic.index import At, Target, Whole, name_of, names_in
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.ports import PARAMETER, prior_of
+from fkgen.symbolic.ports import PARAMETER, prior_of, prior_ports
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
@@ -83,9 +84,15 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
+    if recursion.prior is not None:
+        lowered["origin"] = lower_phase(prior_ports(model.nx), recursion.prior)
     lowered = {name: without_implied(phase) for name, phase in lowered.items()}
     names, phases = {port.name for port in ports}, list(lowered.values())
-    form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
+    form: tuple[str, ...] = (
+        () if recursion.form is None else (f"covariance update: {recursion.form} form",)
+    )
+    if any(True for phase in phases for _ in ir.every(ir.For, phase.body)):
+        form += ("form of the code: loops over rows of y, straight lines elsewhere",)
     return verify(
         ir.CProgram(
             name=spec.name,
@@ -154,8 +161,8 @@ class _Lowering:
     title: str = ""
     groups: list[_Group] = field(default_factory=list)
 
-    def take(self, block: sym.Block) -> None:
-        """Append a block; blocks in a row under one condition share it."""
+    def take(self, block: sym.Block | sym.Loop) -> None:
+        """Append a block or a loop; those in a row under one condition share it."""
         title = f"{block.section}: {block.title}" if block.section else block.title
         if title and title != self.title:
             self.groups.append(_Group(None, block.section, statements=[ir.Heading(title)]))
@@ -165,12 +172,29 @@ class _Lowering:
             last = _Group(block.when, block.section)
             self.groups.append(last)
             if (threshold := block.threshold(self.phase.symbols)) is not None:
-                last.value = self._instructions(threshold, block, last.before)[0][0]
+                last.value = self._instructions(threshold, block.reads, last.before)[0][0]
         last.begins.append(len(last.statements))
-        values = self._instructions(block.function(self.phase.symbols), block, last.statements)
+        if isinstance(block, sym.Loop):
+            last.statements.append(self._loop(block))
+            return
+        function = block.function(self.phase.symbols)
+        values = self._instructions(function, block.reads, last.statements)
         for guard, value in zip(block.guards, values[len(block.assign) :], strict=True):
             last.statements.append(ir.Require(tuple(value), guard.kind, guard.status))
         self._store(block, values, last.statements)
+
+    def _loop(self, loop: sym.Loop) -> ir.For:
+        """A loop with its blocks in groups of their own."""
+        outer, self.groups = self.groups, []
+        for block in loop.body:
+            self.take(block)
+        body = tuple(node for group in self.groups for node in group.closed())
+        self.groups = outer
+        written = {n.target.name for n in ir.every(ir.Assign, body) if n.target.space is Space.NEXT}
+        for element in ir.read(Element, body):
+            if element.space is Space.SELF and element.name in written:
+                raise InternalError(f"a loop reads {element.name} and writes it")
+        return ir.For(loop.index, loop.begin, loop.end, body)
 
     def lowered(self) -> ir.Phase:
         """Everything taken so far; blocks under one condition are one chunk."""
@@ -183,7 +207,9 @@ class _Lowering:
             body += closed
         read = [*ir.read(Element, tuple(body))]
         return ir.Phase(
-            locals=tuple(ir.Local(v.name, v.size, v.initial) for v in self.phase.variables),
+            locals=tuple(
+                ir.Local(v.name, v.size, v.initial, v.values) for v in self.phase.variables
+            ),
             body=tuple(body),
             reads_input=any(e.space is Space.INPUT and e.name == "u" for e in read),
             reads_parameters=any(e.space is Space.PARAMETER for e in read),
@@ -192,7 +218,7 @@ class _Lowering:
         )
 
     def _instructions(
-        self, function: ca.Function, block: sym.Block, out: list[ir.Statement]
+        self, function: ca.Function, reads: tuple[Target, ...], out: list[ir.Statement]
     ) -> list[list[Operand]]:
         """Append the operations of a function; return the operands of its outputs."""
         work: dict[int, Operand] = {}
@@ -205,7 +231,7 @@ class _Lowering:
             if code == ca.OP_CONST:
                 work[target[0]] = Literal(function.instruction_constant(k))
             elif code == ca.OP_INPUT:
-                work[target[0]] = self._element(block.reads[source[0]], source[1], read=True)
+                work[target[0]] = self._element(reads[source[0]], source[1], read=True)
             elif code == ca.OP_OUTPUT:
                 values[target[0]][target[1]] = work[source[0]]
             else:
@@ -238,15 +264,21 @@ class _Lowering:
             for i, value in enumerate(column)
         ]
         overwritten = {target for target, _ in targets}
+        moving = {target for target in overwritten if target.moves}
         kept: dict[Operand, Temp] = {}
         for target, value in targets:
-            if value in overwritten and value != target and value not in kept:
+            lost = value in overwritten
+            if isinstance(value, Element) and not lost:  # or may be overwritten
+                lost = any(value.may_be(each) for each in (overwritten if value.moves else moving))
+            if lost and value != target and value not in kept:
                 kept[value] = Temp(next(self.temps))
                 out.append(Copy(kept[value], value))
         out += [ir.Assign(t, kept.get(v, v)) for t, v in targets if t != v]
-        self.written |= set(block.assign) & set(self.ports)
+        self.written |= {name_of(target) for target in block.assign} & set(self.ports)
 
-    def _element(self, name: str, index: int, *, read: bool) -> Element:
+    def _element(self, place: Target, at: int, *, read: bool) -> Element:
+        index: Whole
+        name, index = (place.name, place.index) if isinstance(place, At) else (place, at)
         if name.startswith(PARAMETER):
             return Element(Space.PARAMETER, name.removeprefix(PARAMETER), None)
         if name in self.inputs:
@@ -267,13 +299,16 @@ def _same(a: sym.Condition | None, b: sym.Condition | None) -> bool:
 def verify(program: ir.CProgram) -> ir.CProgram:
     """Return ``program`` if it is well formed: assigned before read, results once, no condition."""
     written: set[tuple[str, int | None]] = set()
+    sizes = {port.name: port.size for port in program.ports}
+    sizes |= {"u": len(program.inputs), "y": len(program.outputs)}
     for phase in program.phases:
         written |= _check_phase(program.name, phase)
+        _check_places(program.name, phase, sizes)
     ports = program.ports
     expected = {(port.name, i if port.shape else None) for port in ports for i in range(port.size)}
     if written != expected:
         raise InternalError(f"{program.name}: results never written: {sorted(expected - written)}")
-    updated = {n.target.name for n in program.update.body if isinstance(n, ir.Assign)}
+    updated = {port.name for port in program.written(program.update)}
     for later in program.phases[1:]:
         what = "the prediction" if later is program.predict else "the closing"
         read = {e.name for e in ir.read(Element, later.body) if e.space is Space.SELF}
@@ -305,8 +340,8 @@ def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
     """The results that a phase writes."""
     assigned: set[Temp] = set()
     written: set[tuple[str, int | None]] = set()
-    unconditional = set(map(id, phase.body))
-    for node in ir.walk(phase.body):
+    unconditional = set(map(id, _unconditional(phase.body)))
+    for node, loops in ir.inside(phase.body):
         for operand in ir.operands(node):
             if isinstance(operand, Temp) and operand not in assigned:
                 raise InternalError(
@@ -319,8 +354,60 @@ def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
         if isinstance(node, ir.Assign) and node.target.space is Space.NEXT:
             if id(node) not in unconditional:
                 raise InternalError(f"{name}: {node.target} is written under a condition")
-            place = node.target.name, node.target.index
-            if place in written:
-                raise InternalError(f"{name}: {node.target} is written twice")
-            written.add(place)
+            for index in ir.places(node.target.index, loops):
+                place = node.target.name, index
+                if place in written:
+                    raise InternalError(f"{name}: {node.target} is written twice")
+                written.add(place)
     return written
+
+
+def _unconditional(body: ir.Body) -> Iterator[ir.Statement]:
+    """Statements that every sample runs, those in loops too."""
+    for node in body:
+        yield node
+        if isinstance(node, ir.For):
+            yield from _unconditional(node.body)
+
+
+def _check_places(name: str, phase: ir.Phase, sizes: Mapping[str, int]) -> None:
+    """Indices are known where they are used, elements exist, and locals are written before read."""
+    sizes = {**sizes, **{local.name: local.size for local in phase.locals}}
+    begun = {v.name for v in phase.locals if v.initial is not None or v.values}
+    home: dict[Temp, tuple[ir.For, ...]] = {}  # the loops that a temporary lives in
+    for node, loops in ir.inside(phase.body):
+        for operand in ir.operands(node):
+            if isinstance(operand, Temp) and loops[: len(home[operand])] != home[operand]:
+                raise InternalError(f"{name}: temporary {operand.index} is read outside its loop")
+        for each in (o for o in ir.operands(node) if isinstance(o, Element)):
+            if each.space is Space.LOCAL and each.name not in begun:
+                raise InternalError(f"{name}: {each} is read before it is written")
+        if isinstance(node, Operate | Copy):
+            home[node.target] = loops
+        if isinstance(node, ir.Assign):
+            begun.add(node.target.name)
+        _check_indices(name, node, loops, sizes)
+
+
+def _check_indices(
+    name: str, node: ir.Statement, loops: tuple[ir.For, ...], sizes: Mapping[str, int]
+) -> None:
+    """The variables of the indices of a statement are those of loops around it, in their arrays."""
+    known = {loop.index for loop in loops}
+    elements = [each for each in ir.operands(node) if isinstance(each, Element) and each.moves]
+    asked: list[Any] = [each.index for each in elements]
+    match node:
+        case ir.For(index, begin, end):
+            asked += [begin, end]
+            if index in known:
+                raise InternalError(f"{name}: two loops over {index}, one in the other")
+        case ir.IfPresent(row):
+            asked.append(row)
+        case ir.Assign(target) if target.moves:
+            elements.append(target)
+            asked.append(target.index)
+    if unknown := {*names_in(*asked)} - known:
+        raise InternalError(f"{name}: no loop over {', '.join(sorted(unknown))}")
+    for each in elements:
+        if any(not 0 <= (at or 0) < sizes[each.name] for at in ir.places(each.index, loops)):
+            raise InternalError(f"{name}: {each} is outside of its array")

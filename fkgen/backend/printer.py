@@ -12,6 +12,7 @@ from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
 from fkgen.errors import UnfitError
+from fkgen.symbolic.index import Index
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
@@ -98,6 +99,10 @@ class StatementPrinter:
         """Test whether a row of y is present."""
         if isinstance(row, ir.RowArgument):
             return f"row_{row.index} != 0"
+        if isinstance(row, Index):
+            at = row if self.words == 1 else f"({row}) % {_WORD_BITS}"
+            word = f"[({row}) / {_WORD_BITS}]" if self.words > 1 else ""
+            return f"((present{word} >> ({at})) & 1u) != 0u"
         word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""
         return f"(present{word} & {hex(1 << row % _WORD_BITS)}u) != 0u"
 
@@ -132,6 +137,9 @@ class StatementPrinter:
             case ir.IfPresent(row, body):
                 one = 0 if row is None and self.rows == 1 else row
                 return _under(self.any_row if one is None else self.row(one), self.block(body))
+            case ir.For(index, begin, end, body):
+                head = f"for (int {index} = {begin}; {index} < {end}; ++{index})"
+                return f"{head}\n{{\n{self.block(body)}\n}}"
             case ir.IfPositive(positive, body):
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
             case ir.Call():

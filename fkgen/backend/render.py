@@ -37,6 +37,7 @@ _COMMENTS = {
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
     "begin": "Compute what follows from a prior",
+    "prior": "Compute the prior of the spec",
 }
 
 
@@ -63,53 +64,47 @@ def _context(program: CProgram) -> dict[str, object]:
     c.take(outlined.routines)
     units = units_of(program)
     starts = _starts(program)
-    form = FORMATS[program.scalar]
-    infinite = (2 * form.bias + 1) << form.mantissa
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
-    return (
-        elementary_context(c, program.functions)
-        | _self_test(c)
-        | {
-            "program": program,
-            "version": __version__,
-            "api": API_VERSION,
-            "title": _title(program),
-            "modes": next(modes, 0),
-            "cost": cost(program),
-            "padded": c.padded,
-            "flags": [port for port in program.ports if port.flags],
-            "scalars": sum(port.size for port in program.ports),
-            "bytes": _bytes(program, outlined, starts),
-            "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
-            "statuses": program.statuses,
-            "positive": [c.status(status) for status in program.statuses if status.value >= 0],
-            "Status": Status,
-            "shape": _shape_text,
-            "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
-            "ranges": dict(program.stated.ranges),
-            "listed": filled_lines,
-            "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
-            "starts": starts,
-            "tables": {owner: values for values, owner in starts.values()}
-            | dict(zip(("x", "P"), program.prior, strict=True)),
-            "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
-            "full": lambda port: math.prod(port.shape),
-            "initial": dict(program.initial),
-            "phases": _phases(c, outlined.phases),
-            "routines": outlined.routines,
-            "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
-            "inlined": program.flops <= INLINED,
-            "functions": _functions(c),
-            "order": _order(c),
-            "infinite": infinite,
-            "not_a_number": infinite | (1 << (form.mantissa - 1)),
-        }
-    )
+    return elementary_context(c, program.functions) | {
+        "program": program,
+        "version": __version__,
+        "api": API_VERSION,
+        "title": _title(program),
+        "modes": next(modes, 0),
+        "cost": cost(program),
+        "padded": c.padded,
+        "flags": [port for port in program.ports if port.flags],
+        "scalars": sum(port.size for port in program.ports),
+        "bytes": _bytes(program, outlined, starts),
+        "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
+        "statuses": program.statuses,
+        "positive": [c.status(status) for status in program.statuses if status.value >= 0],
+        "Status": Status,
+        "shape": _shape_text,
+        "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
+        "ranges": dict(program.stated.ranges),
+        "listed": filled_lines,
+        "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
+        "starts": starts,
+        "tables": {owner: values for values, owner in starts.values()}
+        | ({} if program.origin else dict(zip(("x", "P"), program.prior, strict=True))),
+        "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
+        "full": lambda port: math.prod(port.shape),
+        "initial": dict(program.initial),
+        "phases": _phases(c, outlined.phases),
+        "routines": outlined.routines,
+        "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
+        "inlined": program.flops <= INLINED,
+        "functions": _functions(c),
+        "order": _order(c),
+        **_selftest(c),
+    }
 
 
-def _self_test(c: Printer) -> dict[str, object]:
-    """What the self-test is given, and what it compares."""
-    ports, vectors = c.program.ports, self_test_vectors(c.program)
+def _selftest(c: Printer) -> dict[str, object]:
+    """What the self-test gives the filter, and what it compares."""
+    ports, form = c.program.ports, FORMATS[c.program.scalar]
+    vectors, infinite = self_test_vectors(c.program), (2 * form.bias + 1) << form.mantissa
     final = dict(vectors.final)
     return {
         "vectors": vectors,
@@ -119,6 +114,8 @@ def _self_test(c: Printer) -> dict[str, object]:
         "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
         "flag_words": [(p.name, _words(c, final[p.name])) for p in ports if p.flags],
         "marked": MARKED,
+        "infinite": infinite,
+        "not_a_number": infinite | (1 << (form.mantissa - 1)),
     }
 
 
@@ -128,11 +125,12 @@ def _bytes(
     """Sizes in bytes: instance, tables of constants, and bounds on the stack of a call."""
     size = BYTES[program.scalar]
     tables = {owner: len(values) for values, owner in starts.values()}
+    prior = 0 if program.origin else sum(map(len, program.prior))
     numbers = [len(row) for each in outlined.routines for row in each.constants]
     stack = stack_of(program, outlined, inlined=program.flops <= INLINED)
     return {
         "instance": instance_of(program),
-        "constants": size * (sum(tables.values()) + sum(map(len, program.prior)) + sum(numbers)),
+        "constants": size * (sum(tables.values()) + prior + sum(numbers)),
         "stack_O0": stack.plain,
         "stack_Os": stack.small,
     }
@@ -160,6 +158,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
     if verb == "begin":
         told = {each.name for each in read(Element, phase.body) if each.space is Space.INPUT}
         return given | {name: f"const {c.real} *{name}" for name in ("x", "P") if name in told}
+    if verb == "prior":
+        return given
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
@@ -175,9 +175,9 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
             "comment": _COMMENTS[verb],
             "arguments": ", ".join(
                 [
-                    *([] if verb == "begin" else [f"const {c.name}_t *self"]),
+                    *([] if verb in {"begin", "prior"} else [f"const {c.name}_t *self"]),
                     *_given(c, verb).values(),
-                    f"{c.name}_t *next",
+                    f"{c.name}_{'prior_' if verb == 'prior' else ''}t *next",
                 ]
             ),
             "program": phase,
@@ -235,16 +235,20 @@ def _order(c: Printer) -> dict[str, Any]:
 def _starting(c: Printer, given: Mapping[str, str]) -> dict[str, Any]:
     """What the functions need that start a filter; ``given`` is what computes with the prior."""
     program = c.program
-    first = [f"{c.name}_t *self", *([given["params"]] if "params" in given else [])]
+    own, params = f"{c.name}_t *self", f"const {c.name}_params_t *params"
+    started = [own, *([params] if "params" in given else [])]
+    init = [own, *([params] if "params" in given or program.origin is not None else [])]
     sizes = zip(("x", "P"), map(len, program.prior), strict=True)
     prior = [f"const {c.real} {name}[{size}]" for name, size in sizes]
-    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*first, *prior)]
+    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*started, *prior)]
     head = f"{c.name}_status_t {c.name}_"
     return {
-        "init": f"{head}init({', '.join(first)})",
-        "start": f"{head}start({', '.join([*first, *prior])})",
+        "init": f"{head}init({', '.join(init)})",
+        "start": f"{head}start({', '.join([*started, *prior])})",
         "absent_start": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
         "start_reads_params": "params" in given,
+        "init_reads_params": len(init) > 1,
+        "own_prior": program.origin is not None,
         "begins": program.start is not None,
         "computed": program.written(program.start),
     }

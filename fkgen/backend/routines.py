@@ -13,11 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, combinations, count, groupby
-from typing import Any
+from typing import Any, get_args
 
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Space
 from fkgen.errors import InternalError
+from fkgen.symbolic.index import Index, Whole
 
 #: Fewer lines than this are not worth a call.
 SHORTEST = 8
@@ -78,8 +79,11 @@ def form_of(statements: Sequence[ir.Statement]) -> Form:
             case Element(Space.PARAMETER):
                 return part
             case Element(space, name, index):
-                slot, base = variables.setdefault((space, name), (len(variables), index))
+                own = 0 if isinstance(index, Index) else index  # loops count from the first element
+                slot, base = variables.setdefault((space, name), (len(variables), own))
                 return slot, (index or 0) - (base or 0)
+            case Index():
+                return part
         given[_kind(part)].append(part.value if isinstance(part, ir.Literal) else part)
         return "given"
 
@@ -100,9 +104,15 @@ class _Block:
     statements: ir.Body
     section: str
     form: Form = field(init=False)
+    key: int = field(init=False)  # other for most other shapes
+    names: frozenset[Variable] = field(init=False)
+    lines: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.form = form_of(self.statements)
+        self.key = hash(self.form.shape)
+        self.names = frozenset(key for key, _ in self.form.variables)
+        self.lines = lines_of(self.statements)
 
 
 @dataclass(slots=True, eq=False)
@@ -116,14 +126,14 @@ class _Function:
     def users(self, name: str) -> set[int]:
         """Which blocks use a local."""
         key = (Space.LOCAL, name)
-        return {i for i, block in enumerate(self.blocks) if key in dict(block.form.variables)}
+        return {i for i, block in enumerate(self.blocks) if key in block.names}
 
     def split(self) -> None:
         """Cut blocks that are too long; what later statements read is carried in an array."""
         at = 0
         while at < len(self.blocks):
             chunk = self.blocks[at].statements
-            if len(chunk) > LONGEST and not any(isinstance(n, ir.Condition) for n in chunk):
+            if len(chunk) > LONGEST and not any(isinstance(n, ir.Nested) for n in chunk):
                 name = f"carried_{len(self.locals)}"
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
@@ -233,7 +243,7 @@ def _function(verb: str, phase: ir.Phase) -> _Function:
 
 def _apart(chunk: ir.Body) -> list[ir.Body]:
     """What a chunk does several times with other numbers, one after the other."""
-    if any(isinstance(node, ir.Copy | ir.Condition) for node in chunk):
+    if any(isinstance(node, ir.Copy | ir.Nested) for node in chunk):
         return [chunk]
     written = {node.target for node in ir.every(ir.Assign, chunk)}
     computed = (o for node in ir.every(ir.Operate, chunk) for o in node.arguments)
@@ -272,7 +282,7 @@ def _independent(chunk: ir.Body) -> list[ir.Body]:
 
 def lines_of(statements: ir.Body) -> int:
     """About how many lines statements take in C."""
-    braced = (ir.Require, ir.IfPresent, ir.IfPositive)
+    braced = (ir.Require, *get_args(ir.Nested))
     return sum(
         4 if isinstance(n, braced) else 5 + len(n.arguments) // 3 if isinstance(n, ir.Call) else 1
         for n in ir.walk(statements)
@@ -290,12 +300,17 @@ class _Book:
         """The runs whose outlining saves most; none if nothing is worth it."""
         best: tuple[int, list[_Run]] = (0, [])
         seen: set[_Run] = set()
+        alike = Counter(block.key for function in self.functions for block in function.blocks)
         for run in self._candidates():
             if run in seen:
                 continue
+            lines, most = sum(block.lines for block in run.blocks), alike[run.blocks[0].key]
+            if (most - 1) * lines - OVERHEAD - 2 * most <= best[0]:
+                continue  # it cannot save more
             runs = self._like(run)
             seen |= set(runs)
-            lines = lines_of(run.statements)
+            if (len(runs) - 1) * lines - OVERHEAD - 2 * len(runs) <= best[0]:
+                continue
             call = 2 + len(form_of(run.statements).variables) // 3
             saved = (len(runs) - 1) * lines - OVERHEAD - len(runs) * call
             enough = len(runs) > 1 and lines >= SHORTEST and not run.is_call
@@ -324,11 +339,13 @@ class _Book:
     def _like(self, run: _Run) -> list[_Run]:
         """All runs like this one that do not overlap."""
         blocks, found = run.blocks, []
+        wanted = [block.key for block in blocks]
         for function in self.functions:
-            at = 0
+            keys, at = [block.key for block in function.blocks], 0
             while at + len(blocks) <= len(function.blocks):
                 other = _Run(function, at, at + len(blocks))
-                same = _alike(blocks, other.blocks) == len(blocks) and other.is_whole()
+                same = keys[at : at + len(blocks)] == wanted
+                same = same and _alike(blocks, other.blocks) == len(blocks) and other.is_whole()
                 found += [other] if same else []
                 at += len(blocks) if same else 1
         return found
@@ -445,7 +462,7 @@ def _alike(one: Sequence[_Block], other: Sequence[_Block]) -> int:
     back: dict[Variable, Variable] = {}
     for length, (block, twin) in enumerate(zip(one, other, strict=False)):
         a, b = block.form, twin.form
-        if a.shape != b.shape:
+        if block.key != twin.key or a.shape != b.shape:
             return length
         for (key, base), (name, at) in zip(a.variables, b.variables, strict=True):
             shifted = name, (at or 0) - (base or 0)
@@ -473,7 +490,7 @@ def _drafted(
 
     def part(part: Any) -> Any:
         match part:
-            case ir.Temp() | Element(Space.PARAMETER):
+            case ir.Temp() | Element(Space.PARAMETER) | Index():
                 return part
             case Element(space, own, index):
                 place, low = places[space, own]
@@ -527,9 +544,10 @@ def _places(
         if len(own) == 1 and (private := own.pop()):
             places[key] = replace(private[1], name=name), 0
             continue
-        single = key not in written | passed and len(indices[key]) == 1
+        moves = any(isinstance(i, Index) for i in indices[key])
+        single = key not in written | passed and len(indices[key]) == 1 and not moves
         single &= not any(_may_be_absent(*variable) for variable, _ in each)
-        low = min((i for i in indices[key] if i is not None), default=0)
+        low = 0 if moves else min((i for i in indices[key] if isinstance(i, int)), default=0)
         places[key] = ir.Argument(name, key in written, single), low
     return places
 
@@ -590,9 +608,9 @@ def expanded(routine: ir.Routine, call: ir.Call, locals_: Mapping[str, str]) -> 
 
 def _uses(
     statements: ir.Body, known: Mapping[str, tuple[ir.Argument, ...]]
-) -> tuple[dict[Variable, set[int | None]], set[Variable], set[Variable]]:
+) -> tuple[dict[Variable, set[Whole | None]], set[Variable], set[Variable]]:
     """The elements of each variable that are used; what is written; what is passed on as array."""
-    indices: dict[Variable, set[int | None]] = defaultdict(set)
+    indices: dict[Variable, set[Whole | None]] = defaultdict(set)
     for element in ir.elements(statements):
         indices[element.space, element.name].add(element.index)
     written = {(n.target.space, n.target.name) for n in ir.every(ir.Assign, statements)}

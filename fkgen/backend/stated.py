@@ -17,6 +17,7 @@ from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Model, Parameter
 from fkgen.problem.equations import ABSENT, Equations, Increment
 from fkgen.problem.functions.named import coordinates
+from fkgen.problem.probability import FirstLaw
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
@@ -225,8 +226,15 @@ def _sensor(spec: Spec, sensor: SensorFaults) -> _Part:
         kernel = _matrix(spec, "kernel", sensor.law)
     return (
         f"{text}; modes (gamma, delta): {order}, kernel[i][j] = Pr(j at k+1 | i at k)",
-        [kernel, _vector("initial", map(repr, sensor.initial))],
+        [kernel, _first("kernel", sensor.initial, sensor.first)],
     )
+
+
+def _first(chain: str, numbers: tuple[float, ...], first: FirstLaw | None) -> list[str]:
+    """The law of the mode at sample 0."""
+    if first is not None and not first.stated:
+        return [f" *   initial = the stationary law of {chain}"]
+    return _vector("initial", map(repr, numbers) if first is None else map(_text, first.stated))
 
 
 def _factor(sensor: SensorFaults) -> Expression:
@@ -235,7 +243,7 @@ def _factor(sensor: SensorFaults) -> Expression:
 
 def _jump(spec: Spec, jump: JumpFaults) -> _Part:
     text = "Faults: the plant jumps between modes, transition[i][j] = Pr(mode j at k+1 | mode i)"
-    law = _vector("initial", map(repr, jump.initial))
+    law = _first("transition", jump.initial, jump.first)
     transition = _numbers("transition", jump.transition)
     listings = [transition if jump.law is None else _matrix(spec, "transition", jump.law), law]
     if jump.arrival_rate is not None:
@@ -243,7 +251,8 @@ def _jump(spec: Spec, jump: JumpFaults) -> _Part:
         text += f"; a sample holds a signal with probability {rate}, else noise"
     if jump.arrival_chain:
         text += "; samples are (lost, arrived) by arrival_chain"
-        listings.append(_numbers("arrival_chain", jump.arrival_chain))
+        chain = _numbers("arrival_chain", jump.arrival_chain)
+        listings.append(_matrix(spec, "arrival_chain", jump.arrivals) if jump.arrivals else chain)
     if jump.arrival != "always":
         text += f"; whether it does is {jump.arrival}"
     return text, listings
@@ -279,6 +288,7 @@ def _range(spec: Spec, item: Parameter) -> str:
                 found.append("a variance, >= 0")
             elif any(name in names(variance) for variance in variances):
                 found.append(f"keeps the variances of {letter} >= 0")
+    used += [x for x in ("S", "x0", "P0") if name in getattr(spec.model, x).names]
     unit = next(_units_of(spec, name), "")
     return "; ".join([*filter(None, [unit, *found]), *([f"in {', '.join(used)}"] if used else [])])
 

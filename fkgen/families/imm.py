@@ -44,7 +44,8 @@ class ImmOptions(Options):
         if number not in allowed:
             given = number if faults.jump is None else section.table["modes"]
             raise place.error(show(given), expected)
-        if number == 3 and faults.sensor is not None and faults.sensor.law is not None:
+        sensor = faults.sensor
+        if number == 3 and sensor is not None and (sensor.law or sensor.first) is not None:
             given = "3 with probabilities that depend on parameters"
             raise place.error(given, "4: what three modes put together has to be a constant")
         return cls(int(number))
@@ -77,7 +78,9 @@ def without_channel(table: Table, truth: Spec) -> Table:
     chain = faults.chain(truth.model)
     if faults.arrival == "unknown" and faults.channel is not None:
         chain = chain.times(faults.channel)
-    jump = JumpFaults(chain.transition, chain.initial, chain.modes, law=chain.law)
+    jump = JumpFaults(
+        chain.transition, chain.initial, chain.modes, law=chain.law, first=chain.first
+    )
     return table | {"faults": {"jump": jump.plain()}}
 
 

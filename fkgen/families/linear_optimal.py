@@ -60,7 +60,7 @@ def check(spec: Spec) -> None:
     if faults.moments is not None:
         way_out = f"with problem 3 or 4, {way_out}"
     because = f"where gamma depends on its past: the filter has no constant term; {way_out}"
-    if spec.model.x0.values().any():
+    if not spec.model.x0.is_zero:
         raise place.entry("model").entry("x0").error("a start that is not zero", f"zero {because}")
     if spec.model.nu:
         raise place.entry("model").entry("B").error("known inputs", f"none {because}")
@@ -93,7 +93,7 @@ def lemma_2(spec: Spec) -> tuple[Finding, ...]:
         "some rows of y never fail, and gamma depends on its past: their signal does not carry"
         " gamma, so it predicts the others with E[gamma], not with p11"
     )
-    if faults.moments is None and faults.law is None:
+    if faults.moments is None and (faults.law or faults.first) is None:
         law = SensorLaw.from_spec(spec)
         holds, difference = satisfies_lemma_2(law.kernel, law.initial)
         if not holds:
@@ -122,7 +122,7 @@ def _errors(spec: Spec) -> tuple[float | None, float | None]:
     from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
     faults = spec.faults.sensor
-    if faults is None or not faults.kernel or faults.law is not None:
+    if faults is None or not faults.kernel or (faults.law or faults.first) is not None:
         return None, None
     with np.errstate(all="ignore"):
         system = LinearSystem.from_spec(spec, HORIZON)

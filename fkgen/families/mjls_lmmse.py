@@ -126,7 +126,7 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
     given, instead = "'stationary'", "use 'time_varying'"
     if not all(mode.is_constant for mode in faults.modes):
         raise at.error(f"{given} with matrices that depend on parameters", f"constants; {instead}")
-    if faults.law is not None or faults.rate is not None:
+    if any(each is not None for each in (faults.law, faults.rate, faults.arrivals, faults.first)):
         raise at.error(
             f"{given} with probabilities that depend on parameters", f"numbers; {instead}"
         )

@@ -16,9 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.problem.equations import Equations
 from fkgen.problem.functions.reading import plain_mode
 from fkgen.problem.model import plain_source
-from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.probability import (
+    Distribution,
+    FirstLaw,
+    Transition,
+    period,
+    resting_law,
+    stationary_law,
+    visited,
+)
 from fkgen.problem.text.discretise import Continuous
-from fkgen.problem.text.expression import ZERO, Number, operation
+from fkgen.problem.text.expression import ZERO, Expression, Number, operation
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -91,13 +99,17 @@ class Channel:
 
     transition: Transition
     initial: Distribution
+    law: Matrix | None = None  # the transition where it depends on parameters
+    first: FirstLaw | None = None  # and the law of sample 0
 
     @classmethod
-    def of(cls, transition: ArrayLike) -> Channel:
+    def of(cls, transition: ArrayLike, chain: Matrix | None = None) -> Channel:
         """The channel in its stationary law; in that after a loss if there are several."""
         P = np.asarray(transition, float)
         law = stationary_law(P)
-        return cls(tuple(map(tuple, P.tolist())), tuple((P[0] if law is None else law).tolist()))
+        initial = tuple((P[0] if law is None else law).tolist())
+        first = None if chain is None else resting_law(chain)
+        return cls(tuple(map(tuple, P.tolist())), initial, chain, first)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +139,7 @@ class ModeChain:
     law: Matrix | None = None  # the transition where it depends on parameters
     #: The law of every sample is a row of it, with the parameters of that sample
     independent: bool = False
+    first: FirstLaw | None = None  # initial where it depends on parameters
 
     @property
     def possible(self) -> Transition:
@@ -135,23 +148,34 @@ class ModeChain:
             return self.transition
         return tuple(tuple(float(each != ZERO) for each in row) for row in self.law.rows)
 
+    @property
+    def begun(self) -> Distribution:
+        """Positive where the chain can begin, whatever the parameters are."""
+        if self.first is None:
+            return self.initial
+        if self.first.stated:
+            return tuple(float(each != ZERO) for each in self.first.stated)
+        law = stationary_law(self.possible)
+        return self.initial if law is None else tuple(law.tolist())
+
     def times(self, channel: Channel) -> ModeChain:
         """The chain of pairs, first all modes of samples that arrive, then all of lost ones."""
         arrived_first = np.array(channel.transition)[::-1, ::-1]
-        law = None
-        if self.law is not None:
-            law = Matrix(
-                tuple(
-                    tuple(operation("*", Number(a), p) for a in arrival for p in row)
-                    for arrival in arrived_first.tolist()
-                    for row in self.law.rows
-                )
-            )
+        law = first = None
+        if self.law is not None or channel.law is not None:
+            of = self.law or Matrix.of(self.transition)
+            arrival = channel.law or Matrix.of(channel.transition)
+            both = (_products(a[::-1], p) for a in arrival.rows[::-1] for p in of.rows)
+            law = Matrix(tuple(both))
+        if self.first is not None or channel.first is not None:
+            starts = _numbers(channel), _numbers(self)
+            first = FirstLaw(_products(starts[0][::-1], starts[1]))  # both stay, if one is empty
         return ModeChain(
             (*self.modes, *(mode.silent for mode in self.modes)),
             tuple(map(tuple, np.kron(arrived_first, self.transition).tolist())),
             tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
             law,
+            first=first,
         )
 
     def alike(self, letters: str) -> Groups:
@@ -166,7 +190,22 @@ class ModeChain:
 
     def lumped(self, groups: Groups) -> Lumping:
         """Take groups of modes for the modes of a chain."""
-        return lump(self.transition, self.initial, groups)
+        if self.first is None:
+            return lump(self.transition, self.initial, groups)
+        begun = np.array(self.begun)
+        return lump(self.transition, tuple((begun / begun.sum()).tolist()), groups)
+
+
+def _numbers(chain: Channel | ModeChain) -> tuple[Expression, ...]:
+    """The law of sample 0 as expressions."""
+    return tuple(map(Number, chain.initial)) if chain.first is None else chain.first.stated
+
+
+def _products(
+    first: tuple[Expression, ...], second: tuple[Expression, ...]
+) -> tuple[Expression, ...]:
+    """Probabilities of pairs."""
+    return tuple(operation("*", a, b) for a in first for b in second)
 
 
 def lump(transition: Sequence[Distribution], initial: Distribution, groups: Groups) -> Lumping:

@@ -17,6 +17,7 @@ from fkgen.problem.functions.start import check_start
 from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
+    FirstLaw,
     Transition,
     as_rate,
     at_defaults,
@@ -38,7 +39,7 @@ from fkgen.problem.text.expression import (
     operation,
     total,
 )
-from fkgen.problem.text.matrix import Matrix, plain_fields
+from fkgen.problem.text.matrix import Matrix, plain, plain_fields
 
 Arrival = Literal["always", "known", "unknown"]
 
@@ -66,16 +67,22 @@ class JumpFaults:
     arrival: Arrival = "always"
     arrival_rate: float | None = None  # Pr(a sample holds a signal), independent
     arrival_chain: Transition = ()  # in place of the rate, (lost, arrived)
-    #: transition and arrival_rate as expressions, where they depend on parameters; the numbers
-    #: above are those at the defaults
+    #: transition, arrival_rate, arrival_chain and initial as they depend on parameters, where they
+    #: do; the numbers above are those at the defaults
     law: Matrix | None = None
     rate: Expression | None = None
+    arrivals: Matrix | None = None
+    first: FirstLaw | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table = {key: value for key, value in plain_fields(self).items() if value != []}
         table |= {"transition": table.pop("law")} if "law" in table else {}
         table |= {"arrival_rate": table.pop("rate")} if "rate" in table else {}
+        table |= {"arrival_chain": table.pop("arrivals")} if "arrivals" in table else {}
+        if self.first is not None:
+            del table["first"], table["initial"]
+            table |= {"initial": plain(self.first.stated)} if self.first.stated else {}
         if self.arrival == "always" and not self.has_channel:
             del table["arrival"]
         return table
@@ -83,17 +90,23 @@ class JumpFaults:
     def chain(self, model: Model) -> ModeChain:
         """Every mode is a plant of its own; losses are apart, see `channel`."""
         modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
-        return ModeChain(modes, self.transition, self.initial, self.law)
+        return ModeChain(modes, self.transition, self.initial, self.law, first=self.first)
 
     def at(self, parameters: Mapping[str, float]) -> JumpFaults:
         """The faults whose probabilities have these parameters for good."""
-        law, rate = self.law, self.rate
+        law, rate, arrivals = self.law, self.rate, self.arrivals
+        transition = self.transition if law is None else rows_of(law.values(parameters))
+        chain = self.arrival_chain if arrivals is None else rows_of(arrivals.values(parameters))
         return replace(
             self,
-            transition=self.transition if law is None else rows_of(law.values(parameters)),
+            transition=transition,
+            initial=self.initial if self.first is None else self.first.at(parameters, transition),
             arrival_rate=self.arrival_rate if rate is None else evaluate(rate, parameters),
+            arrival_chain=chain,
             law=None,
             rate=None,
+            arrivals=None,
+            first=None,
         )
 
     def gain_needs_no_moments(self, *, tested: bool) -> bool:
@@ -157,7 +170,7 @@ class JumpFaults:
         """How samples are lost; None if nothing is said."""
         if self.arrival_rate is not None:
             return Channel.of([[1.0 - self.arrival_rate, self.arrival_rate]] * 2)
-        return Channel.of(self.arrival_chain) if self.arrival_chain else None
+        return Channel.of(self.arrival_chain, self.arrivals) if self.arrival_chain else None
 
     @property
     def has_channel(self) -> bool:
@@ -200,12 +213,20 @@ def read_jump_faults(
     section.require("transition", f"a {len(found)} x {len(found)} matrix, one row per mode")
     law = read_transition(section, "transition", "as the modes are", len(found))
     transition = at_defaults(law, section)
-    initial = read_initial(section, law, stationary_law(transition), len(found), "one per mode")
-    varying = None if law.is_constant else law
+    initial, first = read_initial(section, law, stationary_law(transition), "one per mode")
     arrival, rate, chain = _channel(section)
-    known = None if rate is None else evaluate(rate, section.defaults)
-    moving = None if rate is None or isinstance(rate, Number) else rate
-    return JumpFaults(transition, initial, found, arrival, known, chain, varying, moving)
+    return JumpFaults(
+        transition,
+        initial,
+        found,
+        arrival,
+        arrival_rate=None if rate is None else evaluate(rate, section.defaults),
+        arrival_chain=() if chain is None else at_defaults(chain, section),
+        law=None if law.is_constant else law,
+        rate=None if isinstance(rate, Number) else rate,
+        arrivals=None if chain is None or chain.is_constant else chain,
+        first=first,
+    )
 
 
 def _read_modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...]:
@@ -326,7 +347,7 @@ def _with_equations(
     found: dict[str, Any] = {"Q": Q, "R": model.R}
     _state_own(section, found, model.nx)
     equations = modes.mode_equations(section, named, base)
-    check_start(equations, named, model.x0.values().ravel(), section.place)
+    check_start(equations, named, model.x0.values(section.defaults).ravel(), section.place)
     linear = None
     if model.equations is None and not apart:
         linear = affine.linear_plant(equations, found["Q"], section)
@@ -350,30 +371,25 @@ def _state_own(section: Section, found: dict[str, Matrix], states: int) -> None:
             found[key] = section.matrix(key, own.shape, because)
 
 
-def _channel(section: Section) -> tuple[Arrival, Expression | None, Transition]:
+def _channel(section: Section) -> tuple[Arrival, Expression | None, Matrix | None]:
     """What the filter knows of the channel, and its rate or chain, whichever is there."""
     rate: Expression | None = None
     if "arrival_rate" in section:
         place = section.place.entry("arrival_rate")
         rate = as_rate(section.table["arrival_rate"], place, section.defaults)
-    chain: Transition = ()
+    chain: Matrix | None = None
     if "arrival_chain" in section:
         if rate is not None:
             given = "arrival_chain beside arrival_rate"
             raise section.error("arrival_chain", given, "one of the two")
-        law = read_transition(section, "arrival_chain", _ORDER, 2)
-        if not law.is_constant:
-            given = "probabilities that depend on parameters"
-            expected = "numbers: the chain starts in its stationary law, and the start is fixed"
-            raise section.error("arrival_chain", given, expected)
-        chain = at_defaults(law, section)
-        if stationary_law(chain) is None:
+        chain = read_transition(section, "arrival_chain", _ORDER, 2)
+        if stationary_law(at_defaults(chain, section)) is None:
             raise section.error(
                 "arrival_chain",
                 "a chain that never changes, so that it has several stationary laws",
                 f"a chain with one: its law, ordered {_ORDER}, is that of the first sample",
             )
-    silent = rate is None and not chain
+    silent = rate is None and chain is None
     arrival = section.choice("arrival", get_args(Arrival), "always" if silent else "unknown")
     if arrival == "unknown" and silent:
         raise section.error(

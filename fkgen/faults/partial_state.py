@@ -20,7 +20,7 @@ SAME = 1e-9
 
 def typical_deviation(model: Model, defaults: Mapping[str, float]) -> Array:
     """Standard deviations (n,) of the states, from P0 + Q: to compare states of different units."""
-    variance = np.diag(model.P0.values() + model.Q.values(defaults))
+    variance = np.diag(model.P0.values(defaults) + model.Q.values(defaults))
     known = variance > 0.0
     least = float(variance[known].min()) if known.any() else 1.0
     return np.sqrt(np.where(known, variance, 1e-6 * least))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fkgen.errors import InternalError
 from fkgen.faults import jump, sensor
@@ -13,7 +13,7 @@ from fkgen.faults.jump import JumpFaults
 from fkgen.faults.sensor import SensorFaults
 from fkgen.faults.soft import SoftFaults
 from fkgen.problem.model import Model
-from fkgen.problem.probability import SUM_TOLERANCE, Transition
+from fkgen.problem.probability import SUM_TOLERANCE, FirstLaw, Transition
 from fkgen.problem.text.expression import names
 from fkgen.problem.text.matrix import expressions, plain_fields
 
@@ -38,12 +38,28 @@ class Faults:
     @property
     def law_names(self) -> frozenset[str]:
         """The parameters that probabilities and the noise of a fault depend on."""
-        laws = [
-            (found.law, getattr(found, "factor", None), getattr(found, "rate", None))
-            for found in (self.sensor, self.jump)
-            if found is not None
-        ]
-        return frozenset().union(*map(names, expressions(tuple(laws))))
+        keys = ("law", "factor", "rate", "arrivals", "first")
+        found = [each for each in (self.sensor, self.jump) if each is not None]
+        laws = tuple(getattr(each, key, None) for each in found for key in keys)
+        return frozenset().union(*map(names, expressions(laws)))
+
+    @property
+    def firsts(self) -> tuple[FirstLaw, ...]:
+        """The laws of sample 0 that depend on parameters."""
+        found = [each.first for each in (self.sensor, self.jump) if each is not None]
+        if self.jump is not None and self.jump.channel is not None:
+            found.append(self.jump.channel.first)
+        return tuple(each for each in found if each is not None)
+
+    @property
+    def lasting(self) -> Faults:
+        """The same without the laws of sample 0."""
+        sensor, jump = self.sensor, self.jump
+        return replace(
+            self,
+            sensor=None if sensor is None else replace(sensor, first=None),
+            jump=None if jump is None else replace(jump, first=None),
+        )
 
     def at(self, parameters: Mapping[str, float]) -> Faults:
         """The faults whose laws have these parameters for good."""
@@ -54,6 +70,17 @@ class Faults:
             self.soft,
         )
 
+    def begun(self, parameters: Mapping[str, float]) -> Faults:
+        """The same laws, which begin with these parameters."""
+        found = self.at(parameters)
+        sensor, jump = self.sensor, self.jump
+        if sensor is not None and found.sensor is not None:
+            factor, law, independent = sensor.factor, sensor.law, sensor.independent
+            sensor = replace(found.sensor, factor=factor, law=law, independent=independent)
+        if jump is not None and found.jump is not None:
+            jump = replace(found.jump, law=jump.law, rate=jump.rate, arrivals=jump.arrivals)
+        return replace(self, sensor=sensor, jump=jump)
+
     def in_domain(self, parameters: Mapping[str, float]) -> bool:
         """Whether the laws are probabilities, and the noise factor positive, with these."""
         if not self.law_names:
@@ -62,10 +89,10 @@ class Faults:
         laws: list[Transition] = []
         rates = [0.0]
         if found.sensor is not None:
-            laws.append(found.sensor.kernel)
+            laws += [found.sensor.kernel, (found.sensor.initial,)] if found.sensor.kernel else []
             rates += [] if 0.0 < found.sensor.noise_factor <= sensor.LARGEST_FACTOR else [-1.0]
         if found.jump is not None:
-            laws.append(found.jump.transition)
+            laws += [found.jump.transition, (found.jump.initial,), found.jump.arrival_chain]
             rates += [] if found.jump.arrival_rate is None else [found.jump.arrival_rate]
         rows = [row for law in laws for row in law]
         whole = all(abs(sum(row) - 1.0) <= SUM_TOLERANCE for row in rows)

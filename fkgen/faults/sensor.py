@@ -14,12 +14,14 @@ from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Array,
     Distribution,
+    FirstLaw,
     Transition,
     as_law,
     as_rate,
     at_defaults,
     read_initial,
     read_transition,
+    resting_law,
     rows_of,
     stationary_law,
     visited,
@@ -90,6 +92,7 @@ class SensorFaults:
     factor: Expression | None = None
     law: Matrix | None = None
     independent: bool = False  # the law of every sample is a row of ``law`` with its parameters
+    first: FirstLaw | None = None  # initial, where it depends on parameters
 
     @property
     def conditions(self) -> tuple[tuple[float, float], ...]:
@@ -105,19 +108,21 @@ class SensorFaults:
             replace(self.sensed(model, Number(gamma), delta), title=title)
             for (gamma, _), delta, title in zip(self.conditions, deltas, titles, strict=True)
         )
-        return ModeChain(modes, self.kernel, self.initial, self.law, self.independent)
+        return ModeChain(modes, self.kernel, self.initial, self.law, self.independent, self.first)
 
     def at(self, parameters: Mapping[str, float]) -> SensorFaults:
         """The faults whose law and noise have these parameters for good."""
         kernel = self.kernel if self.law is None else rows_of(self.law.values(parameters))
+        initial = kernel[0] if self.independent else self.initial
         return replace(
             self,
             noise_factor=evaluate(self.factor or Number(self.noise_factor), parameters),
             kernel=kernel,
-            initial=kernel[0] if self.independent else self.initial,
+            initial=initial if self.first is None else self.first.at(parameters, kernel),
             factor=None,
             law=None,
             independent=False,
+            first=None,
         )
 
     def lumped(self) -> Lumping:
@@ -172,7 +177,11 @@ class SensorFaults:
             table |= {"problem": 2, "joint": plain(self.law.rows[0])}
         elif self.kernel:
             kernel = [list(row) for row in self.kernel] if self.law is None else self.law.plain()
-            table |= {"problem": 4, "kernel": kernel, "initial": list(self.initial)}
+            table |= {"problem": 4, "kernel": kernel}
+            if self.first is None:
+                table["initial"] = list(self.initial)
+            elif self.first.stated:
+                table["initial"] = plain(self.first.stated)
         return table
 
 
@@ -197,7 +206,7 @@ def read_sensor_faults(
     nominal = 1.0 if stated == ONE else None  # nothing need be said of delta
     if problem == "moments":
         return SensorFaults(factor, rows, moments=_moments(section, nominal), factor=varying)
-    chain, stationary = _chain(section, problem, nominal)
+    chain, stationary, resting = _chain(section, problem, nominal)
     kernel, moving = at_defaults(chain, section), not chain.is_constant
     if moving and problem in {1, 2}:
         if "initial" in section:
@@ -207,9 +216,9 @@ def read_sensor_faults(
         return SensorFaults(
             factor, rows, kernel, kernel[0], factor=varying, law=chain, independent=True
         )
-    initial = read_initial(section, chain, stationary, 4, f"ordered {_MODES}")
+    initial, first = read_initial(section, chain, stationary, f"ordered {_MODES}", resting)
     of = chain if moving else None
-    return SensorFaults(factor, rows, kernel, initial, factor=varying, law=of)
+    return SensorFaults(factor, rows, kernel, initial, factor=varying, law=of, first=first)
 
 
 def _factor(section: Section) -> Expression:
@@ -248,12 +257,15 @@ def _problem(section: Section, family: str, law: Law) -> Problem:
 
 def _chain(
     section: Section, problem: Problem, nominal: float | None
-) -> tuple[Matrix, Array | None]:
-    """Kernel of the four modes and its stationary law, if there is just one."""
+) -> tuple[Matrix, Array | None, FirstLaw | None]:
+    """Kernel of the four modes and its stationary law, if there is just one.
+
+    The last is how that depends on parameters, if it is not a matter of the kernel alone.
+    """
     if problem == 4:
         section.require("kernel", f"a 4 x 4 matrix, modes ordered {_MODES}")
         kernel = read_transition(section, "kernel", _MODES, 4)
-        return kernel, stationary_law(at_defaults(kernel, section))
+        return kernel, stationary_law(at_defaults(kernel, section)), None
     if problem == 3:  # independent chains; gamma comes as (0, 1), modes begin with gamma = 1
         gamma = read_transition(section, "gamma_chain", "(0, 1)", 2)
         delta = Matrix.of([[1.0, 0.0], [1.0, 0.0]])
@@ -263,8 +275,10 @@ def _chain(
         rows = (_pairs(g[::-1], d) for g in gamma.rows[::-1] for d in delta.rows)
         kernel = Matrix(tuple(rows))
         if first is None or second is None:
-            return kernel, None
-        return kernel, np.asarray(np.kron(first[::-1], second), float)
+            return kernel, None, None
+        laws = [_rests(each) for each in (gamma, delta)]
+        both = FirstLaw(_pairs(laws[0][::-1], laws[1]))
+        return kernel, np.asarray(np.kron(first[::-1], second), float), both
     if problem == 2:
         what = f"ordered {_MODES}"
         given = section.require("joint", f"4 probabilities, {what}")
@@ -273,7 +287,13 @@ def _chain(
         rates = _law_rate(section, "gamma_rate"), _law_rate(section, "delta_nominal_rate", nominal)
         joint = _pairs(*((rate, operation("-", ONE, rate)) for rate in rates))
     kernel = Matrix((joint,) * 4)
-    return kernel, np.array(at_defaults(kernel, section)[0])
+    return kernel, np.array(at_defaults(kernel, section)[0]), None
+
+
+def _rests(chain: Matrix) -> tuple[Expression, ...]:
+    """Probabilities of the two states of a chain in its stationary law."""
+    law = stationary_law(chain.values()) if chain.is_constant else None
+    return resting_law(chain).stated if law is None else tuple(map(Number, law.tolist()))
 
 
 def _pairs(gamma: tuple[Expression, ...], delta: tuple[Expression, ...]) -> tuple[Expression, ...]:
@@ -316,5 +336,6 @@ def is_white(faults: SensorFaults) -> bool:
     if faults.law is not None:  # equal rows at the defaults need not be equal elsewhere
         return faults.independent
     kernel = np.array(faults.kernel)
-    rates = kernel[visited(kernel, faults.initial), :2].sum(axis=1)
+    begun = faults.initial if faults.first is None else np.ones(4)
+    rates = kernel[visited(kernel, begun), :2].sum(axis=1)
     return bool(np.ptp(rates) <= EQUAL)

@@ -56,7 +56,8 @@ class Model:
     c: Matrix  # c, d: (n, 1) and (p, 1): known offsets of x and of y
     d: Matrix
     S: Matrix  # (n, p): covariance of w[k] with v[k]
-    #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
+    #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0, with its
+    #: parameters
     x0: Matrix
     P0: Matrix
     sample_time: float | str | None  # In seconds, or the parameter that holds it
@@ -161,8 +162,8 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         S=_cross_covariance(section, Q, R),
         c=c,
         d=offset(section, "d", p, "measurement"),
-        x0=_constant(section, "x0", section.column("x0", n, "numbers")),
-        P0=_constant(section, "P0", section.covariance("P0", n, because)),
+        x0=section.column("x0", n, "numbers or expressions"),
+        P0=section.covariance("P0", n, because),
         sample_time=sample_time,
         states=read_signals(section, "states", "x", n),
         inputs=read_signals(section, "inputs", "u", q),
@@ -186,9 +187,8 @@ def _with_equations(section: Section) -> Model:
     because = "P0 is the covariance of the error of x0 (3 rows for an attitude)"
     Q = Matrix.zeros(ne, ne) if zero else _noise(section, ("Q", "F", "V"), ne, "state")
     R = _noise(section, ("R", "G", "W"), p, "measurement")
-    x0 = _constant(section, "x0", section.column("x0", n, "numbers"))
-    x0, remarks = read_start(section, named, x0)
-    check_start(equations, named, x0.values().ravel(), section.place)
+    x0, remarks = read_start(section, named, section.column("x0", n, "numbers or expressions"))
+    check_start(equations, named, x0.values(section.defaults).ravel(), section.place)
     found = linear_plant(equations, Q, section) if not named.wraps else None
     letters = {"Q": Q} | ABSENCE if found is None else found
     return Model(
@@ -196,7 +196,7 @@ def _with_equations(section: Section) -> Model:
         R=R,
         S=_cross_covariance(section, Q, R),
         x0=x0,
-        P0=_constant(section, "P0", section.covariance("P0", ne, because)),
+        P0=section.covariance("P0", ne, because),
         sample_time=sample_time,
         states=named.states,
         inputs=named.inputs,
@@ -274,13 +274,6 @@ def _factored(section: Section, factor: str, inner: str, mapped: tuple[int, str]
             raise section.error(factor, given, "the product itself")
         check_finite(expression, section.place.entry(factor), section.defaults)
     return result
-
-
-def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
-    if not matrix.is_constant:
-        given = f"an entry that depends on {', '.join(sorted(matrix.names))}"
-        raise section.error(key, given, "constants: the start of the filter is fixed")
-    return matrix
 
 
 def _continuous(

@@ -7,18 +7,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_entry, as_list, as_number
-from fkgen.problem.text.expression import Expression, Number, evaluate, to_text
+from fkgen.problem.text.expression import (
+    Expression,
+    Number,
+    evaluate,
+    operation,
+    to_text,
+)
 from fkgen.problem.text.matrix import Matrix
 
 Distribution = tuple[float, ...]
 Transition = tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FirstLaw:
+    """The law of the first state of a chain, where it depends on parameters."""
+
+    stated: tuple[Expression, ...] = ()  # If empty it is the stationary law of the chain
+
+    def at(self, parameters: Mapping[str, float], chain: Transition) -> Distribution:
+        """Return the law with these parameters; NaN where a chain has several stationary ones."""
+        if self.stated:
+            return tuple(evaluate(each, parameters) for each in self.stated)
+        law = stationary_law(chain)
+        return (math.nan,) * len(chain) if law is None else tuple(law.tolist())
+
 
 #: Largest distance of a sum from one that is taken for what a user rounded when typing.
 SUM_TOLERANCE = 1e-9
@@ -93,29 +115,39 @@ def rows_of(values: Array) -> Transition:
 
 
 def read_initial(
-    section: Section, chain: Matrix, stationary: Array | None, count: int, what: str
-) -> Distribution:
-    """Return the law of the first state: the stationary one if it is not said, and there is one."""
+    section: Section, chain: Matrix, resting: Array | None, what: str, own: FirstLaw | None = None
+) -> tuple[Distribution, FirstLaw | None]:
+    """Return the law of the first state at the defaults, and how it depends on parameters.
+
+    It is the stationary one, ``resting`` at the defaults, if it is not said and there is one;
+    ``own`` if the chain is not as it stands.
+    """
+    count = len(chain.rows)
     if "initial" in section:
         place = section.place.entry("initial")
         law = as_law(section.table["initial"], place, count, what, section.defaults)
-        if not all(isinstance(each, Number) for each in law):
-            given = "probabilities that depend on parameters"
-            raise place.error(given, "numbers: the start of the filter is fixed")
-        return tuple(evaluate(each, {}) for each in law)
-    if not chain.is_constant:
+        numbers = tuple(evaluate(each, section.defaults) for each in law)
+        return numbers, None if Matrix((law,)).is_constant else FirstLaw(law)
+    if resting is None:
+        at = "" if chain.is_constant else " at the defaults"
         raise section.error(
             "initial",
-            "nothing (the key is missing), and a chain that depends on parameters",
-            f"{count} probabilities, {what}, numbers: the start of the filter is fixed",
-        )
-    if stationary is None:
-        raise section.error(
-            "initial",
-            "nothing (the key is missing), and several stationary laws",
+            f"nothing (the key is missing), and several stationary laws{at}",
             f"{count} probabilities, {what}: where the chain starts decides where it stays",
         )
-    return tuple(stationary.tolist())
+    if chain.is_constant:
+        return tuple(resting.tolist()), None
+    first = own or resting_law(chain)
+    return first.at(section.defaults, at_defaults(chain, section)), first
+
+
+def resting_law(chain: Matrix) -> FirstLaw:
+    """Return the stationary law of a chain that depends on parameters."""
+    if len(chain.rows) != 2:
+        return FirstLaw()
+    (_, away), (back, _) = chain.rows
+    whole = operation("+", away, back)
+    return FirstLaw((operation("/", back, whole), operation("/", away, whole)))
 
 
 def stationary_law(transition: ArrayLike) -> Array | None:

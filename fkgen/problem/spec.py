@@ -30,7 +30,7 @@ from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope, evaluate
 from fkgen.problem.text.lookup import Table
-from fkgen.problem.text.matrix import expressions
+from fkgen.problem.text.matrix import Matrix, expressions
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
@@ -135,9 +135,19 @@ class Spec:
 
     @property
     def expressions(self) -> Iterator[Expression]:
-        """Every entry of the plants and of what is said about faults, in terms of parameters."""
-        found = (self.plants, self.faults, tuple(each.noises for each in self.equations))
-        return expressions(found)
+        """Every entry of the plants and of what is said about faults, the start left out.
+
+        In terms of parameters: equations have trees of their own.
+        """
+        none, jump = Matrix(()), self.faults.jump
+        plants = (replace(self.model, x0=none, P0=none),) if jump is None else jump.modes
+        noises = tuple(each.noises for each in self.equations)
+        return expressions((plants, self.faults.lasting, noises))
+
+    @property
+    def start_expressions(self) -> Iterator[Expression]:
+        """Every entry of what sample 0 begins with."""
+        return expressions((self.model.x0, self.model.P0, self.faults.firsts))
 
     @property
     def equations(self) -> tuple[Equations, ...]:

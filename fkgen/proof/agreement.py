@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,8 @@ def trial(spec: Spec) -> Record:
     y, told = draw_record(spec, steady, u, rng)
     y[rng.random(y.shape) < MISSING] = np.nan
     y[T // 2] = np.nan
-    return Record(y=y, u=u, parameters={**told, **parameters}, P0=spec.model.P0.values())
+    P0 = spec.model.P0.values(spec.defaults)
+    return Record(y=y, u=u, parameters={**told, **parameters}, P0=P0)
 
 
 def with_machine(source: Source, record: Record) -> tuple[Claim, ...]:
@@ -81,6 +83,7 @@ def _compiled(source: Source, record: Record) -> Run:
 
 def _machine(program: CProgram, record: Record) -> dict[str, Array]:
     machine = Machine(program)
+    machine.start(record.first)
     rows: dict[str, list[Array]] = {port.name: [] for port in program.ports}
     for k, y in enumerate(record.y):
         now = {name: float(value[k]) for name, value in record.parameters.items()}
@@ -111,7 +114,9 @@ def with_interpreter(design: Validated) -> tuple[Claim, ...]:
         design = validate(replace(design.spec, code=code))
     spec, record, source = design.spec, trial(design.spec), generate(design)
     run = _compiled(source, record)
-    found = Interpreter(design.recursion).run(record.y, record.u, record.parameters)
+    interpreter = Interpreter(design.recursion)
+    interpreter.reset(record.first)
+    found = interpreter.run(record.y, record.u, record.parameters)
     ports = source.program.ports
     tolerances, reason = _tolerances(spec, ports)
     exact = [port for port in ports if tolerances[port.name] == 0.0]
@@ -168,7 +173,8 @@ def _tolerances(spec: Spec, ports: Sequence[Port]) -> tuple[dict[str, float], st
 
 def _goes_through_functions(spec: Spec) -> bool:
     """Whether entries of the model need functions that are not the same everywhere."""
-    return bool(spec.equations) or any(map(_is_inexact, spec.expressions))
+    every = chain(spec.expressions, spec.start_expressions)
+    return bool(spec.equations) or any(map(_is_inexact, every))
 
 
 def _is_inexact(expression: Expression) -> bool:

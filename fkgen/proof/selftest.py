@@ -50,7 +50,7 @@ def claims(source: Source, compiler: Chosen) -> tuple[Claim, ...]:
             folder = Path(place)
             for file, text in source.files.items():
                 (folder / file).write_text(text, encoding="utf-8")
-            complaint = _compile(compiler, folder, flops=source.program.flops)
+            complaint = _compile(compiler, folder, statements=source.program.statements)
             passed = not complaint and _execute([str(folder / "selftest")]).returncode == 0
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -70,10 +70,10 @@ def fact(claim: str, source: str, *, holds: bool) -> Claim:
     return Claim(claim=claim, source=source, error=0.0 if holds else float("inf"), tolerance=0.0)
 
 
-def _compile(compiler: Chosen, folder: Path, *, flops: int) -> str:
+def _compile(compiler: Chosen, folder: Path, *, statements: int) -> str:
     """Compile all files into one program; the first complaint, or nothing."""
     files = sorted(str(path) for path in folder.glob("*.c"))
-    optimisation = "-O2" if flops <= LARGE else "-O1"
+    optimisation = "-O2" if statements <= LARGE else "-O1"
     done = _execute(
         [*compiler.command, *STRICT, optimisation, *files, "-o", str(folder / "selftest")]
     )

@@ -64,7 +64,7 @@ def _stationary(spec: Spec, rates: tuple[float, ...] | None) -> tuple[Array, flo
 def _reached(recursion: Recursion, name: str, samples: int, size: float) -> Array:
     """Covariances after many samples of a record that does not matter: they do not depend on y."""
     spec, instance = recursion.spec, Interpreter(recursion)
-    put(instance, name, spec.model.P0.values() + size * np.eye(spec.model.nx))
+    put(instance, name, spec.model.P0.values(spec.defaults) + size * np.eye(spec.model.nx))
     y, u = np.zeros(spec.model.ny), np.ones(spec.model.nu)
     for _ in range(samples):
         if not instance.step(y, u, spec.defaults):

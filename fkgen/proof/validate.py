@@ -89,6 +89,7 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     if expected is None:
         return None
     instance = Interpreter(recursion)
+    instance.reset(record.first)
     start = {port.name: record.P0 for port in recursion.ports if port.name in _PRIORS}
     for name, value in (start | dict(form.start(spec, record) if form.start else {})).items():
         put(instance, name, value)
@@ -118,8 +119,9 @@ def put(instance: Interpreter, name: str, value: Array) -> None:
 
 def _start_of(recursion: Recursion) -> Claim:
     """Sample 0 corrects the prior of the spec: every prediction starts as (x0, P0)."""
-    model = recursion.spec.model
-    priors = {"state": model.x0.values().ravel(), "covariance": model.P0.values()}
+    model, defaults = recursion.spec.model, recursion.spec.defaults
+    found = model.x0.values(defaults).ravel(), model.P0.values(defaults)
+    priors = dict(zip(("state", "covariance"), found, strict=True))
     values = Interpreter(recursion).values
     faults, kept = recursion.spec.faults.jump, {}
     if faults is not None and faults.unequal:
@@ -160,7 +162,7 @@ def _trial(spec: Spec, *, steady: bool) -> Record:
         missing[1, 0] = True
         missing[2] = True
         y[missing] = np.nan
-    return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec))
+    return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec, drawn))
 
 
 def _disturb(spec: Spec, y: Array, rng: np.random.Generator) -> None:
@@ -192,27 +194,29 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
     try:
         if not spec.faults.in_domain({**spec.defaults, **parameters}):
             return False
+        covariances = [spec.model.P0, joint_noise(spec.model.Q, spec.model.S, spec.model.R)]
         for plant in (spec.model, *spec.plants):
-            for letter in "ABCDQRcd" if plant.equations is None else "QR":
-                M = getattr(plant, letter).values(parameters)
-                if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
-                    return False
+            covariances += [plant.Q, plant.R]
+            for letter in "ABCDcd" if plant.equations is None else "":
+                getattr(plant, letter).values(parameters)
+        for matrix in covariances:
+            M = matrix.values(parameters)
+            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
+                return False
         rate, _ = actuation_of(spec, 1, dict(parameters), spec.first_rates)
-        noise = joint_noise(spec.model.Q, spec.model.S, spec.model.R).values(parameters)
-        if np.linalg.eigvalsh(noise)[0] < -1e-12 * np.abs(noise).max():
-            return False
     except ArithmeticError:
         return False
     return bool(np.all((rate >= 0.0) & (rate <= 1.0)))
 
 
-def _mild_prior(spec: Spec) -> Array:
+def _mild_prior(spec: Spec, parameters: Mapping[str, Array]) -> Array:
     """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation.
 
     Not where P0 is part of the second moments that a gain depends on.
     """
-    C, P0 = sensed_at_prior(spec, spec.model), spec.model.P0.values()
-    R = spec.model.R.values(spec.defaults)
+    first = spec.defaults | {name: float(values[0]) for name, values in parameters.items()}
+    C = sensed_at_prior(spec, spec.model, first)
+    P0, R = (getattr(spec.model, m).values(first) for m in ("P0", "R"))
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
     known = (noise > 0.0) & (prior > 0.0)
     if spec.filter.traits.moments or not known.any():
@@ -226,7 +230,9 @@ def digits(spec: Spec) -> float:
     if is_nonlinear(spec):
         return linearised_digits(spec)
     none = np.zeros((0, 0))
-    return digits_at_stake(spec, Record(y=none, u=none, parameters={}, P0=spec.model.P0.values()))
+    return digits_at_stake(
+        spec, Record(y=none, u=none, parameters={}, P0=spec.model.P0.values(spec.defaults))
+    )
 
 
 def linearised_digits(spec: Spec) -> float:

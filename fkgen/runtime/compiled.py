@@ -16,7 +16,7 @@ from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
-from fkgen.runtime.start import own_bytes, priors
+from fkgen.runtime.start import Priors, own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
@@ -55,6 +55,8 @@ class CompiledFilter:
         calls = ("init", "start", "step", "update", "predict")
         found = [short[f"{layout.name}_call_{name}"] for name in calls]
         self._init, self._start, self._step, self._update, self._predict = found
+        if layout.own_prior:
+            self._prior = short[f"{layout.name}_call_prior"]
         self._type = layout.structure()
         if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
@@ -266,8 +268,7 @@ class CompiledFilter:
         """
         self._place_parameters(params or {})
         given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
-        prior = tuple(each[0] for each in priors(self.layout, given)) if given else None
-        self._begin(self._call, prior)
+        self._begin(self._call, priors(self.layout, given), 0)
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -335,24 +336,34 @@ class CompiledFilter:
         """Instances to start from: one, or one for each record."""
         if isinstance(start, Snapshot):
             return [own_bytes(self.layout, start)]
-        prior = None if start is None else priors(self.layout, start, records)
-        of_each = [len(values) for values in parameters if values.ndim == 2]
-        count = max([1, *map(len, prior or ()), *of_each])
+        prior = priors(self.layout, {} if start is None else start, records)
+        of_each = [len(each) for each in prior if each is not None]
+        count = max([1, *of_each, *(len(values) for values in parameters if values.ndim == 2)])
         instance, first = self._type(), type(self._parameters)()
         call, found = ctypes.byref(self._given(instance, first)), []
         for m in range(count):
             for i, values in enumerate(parameters):
                 of_m = values[m] if values.ndim == 2 else values
                 first[i] = of_m[0] if len(of_m) else self.layout.parameters[i][1]
-            own = None if prior is None else tuple(each[m % len(each)] for each in prior)
-            self._begin(call, own)
+            self._begin(call, prior, m)
             found.append(bytes(instance))
         return found
 
-    def _begin(self, call: Any, prior: tuple[Array, ...] | None) -> None:
-        """Start the instance of a call from the prior of the spec, or from another one."""
-        places = () if prior is None else tuple(ctypes.c_void_p(e.ctypes.data) for e in prior)
-        status = self._start(call, *places) if places else self._init(call)
+    def _begin(self, call: Any, prior: Priors, m: int) -> None:
+        """Start the instance of a call from the prior of the spec, or from that of a record."""
+        if all(each is None for each in prior):
+            self._accepted(self._init(call))
+            return
+        own = [np.array(each, self._dtype) for each in self.layout.prior]
+        places = [ctypes.c_void_p(each.ctypes.data) for each in own]
+        if self.layout.own_prior and any(each is None for each in prior):
+            self._accepted(self._prior(call, *places))
+        for place, each in zip(own, prior, strict=True):
+            if each is not None:
+                place[:] = each[m % len(each)]
+        self._accepted(self._start(call, *places))
+
+    def _accepted(self, status: int) -> None:
         if status < 0:
             self._refuse(status)
 

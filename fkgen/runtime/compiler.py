@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot
 
-#: Operations per step beyond which -O2 takes longer to compile than anyone waits.
+#: Operations in the text of a step beyond which -O2 takes longer to compile than anyone waits.
 LARGE = 8000
 
 _FLAGS = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
@@ -70,9 +70,9 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
     return Compiler(command, identity, tuple(flags))
 
 
-def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: int) -> None:
+def compile_shared(compiler: Compiler, source: Path, library: Path, *, statements: int) -> None:
     """Compile one file into a shared library."""
-    optimisation = "-O2" if flops <= LARGE else "-O1"
+    optimisation = "-O2" if statements <= LARGE else "-O1"
     flags = (*_FLAGS, optimisation, *compiler.flags)
     command = [*compiler.command, *flags, str(source), "-o", str(library)]
     try:
@@ -99,7 +99,7 @@ def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
         record = folder / f"{layout.name}_record.c"
-        compile_shared(compiler, record, folder / cache.LIBRARY, flops=layout.flops)
+        compile_shared(compiler, record, folder / cache.LIBRARY, statements=layout.statements)
 
     return cache.store(key, fill)
 

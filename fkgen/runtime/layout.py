@@ -28,10 +28,12 @@ class Layout:
     attitudes: tuple[int, ...]  # Where quaternions begin in x
     parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
     ports: tuple[Port, ...]  # Members of the C instance, in order
-    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
+    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed, at the defaults
+    own_prior: bool  # They depend on parameters, and C computes them
     groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
+    statements: int = 0  # Operations as they stand in the text, where loops repeat them
 
     @property
     def dtype(self) -> type[np.floating]:
@@ -81,9 +83,11 @@ class Layout:
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    same = ("name", "family", "scalar", "parameters", "ports", "prior", "attitudes", "flops")
+    same: tuple[str, ...] = ("name", "family", "scalar", "parameters", "ports", "prior")
+    same += ("attitudes", "flops", "statements")
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
     facts["spec"] = program.digest
     for key in ("states", "inputs", "outputs", "errors"):
         facts[key] = tuple(signal.name for signal in getattr(program, key))
-    return Layout(claims=claims, groups=len(program.repeats or ()), **facts)
+    groups, own = len(program.repeats or ()), program.origin is not None
+    return Layout(claims=claims, groups=groups, own_prior=own, **facts)

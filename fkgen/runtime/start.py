@@ -25,8 +25,12 @@ KEYS = ("x0", "P0")
 ASYMMETRY = 64.0
 
 
-def priors(layout: Layout, start: Any, records: int | None = None) -> tuple[Array, Array]:
-    """Means (K, n) and packed covariances (K, ne(ne+1)/2); K is 1 or the number of records.
+#: Means (K, n) and packed covariances (K, ne(ne+1)/2); None for those of the spec.
+Priors = tuple[Array | None, Array | None]
+
+
+def priors(layout: Layout, start: Any, records: int | None = None) -> Priors:
+    """What is given of means and covariances, of which there are one, or one for each record.
 
     Raises
     ------
@@ -42,11 +46,11 @@ def priors(layout: Layout, start: Any, records: int | None = None) -> tuple[Arra
             raise DataError(f"start.{key}", given="an unknown key", expected=expected)
     x0, P0 = (start.get(key) for key in KEYS)
     n, ne, kind = len(layout.states), len(layout.errors), layout.dtype
-    means = np.array([layout.prior[0]], kind)
+    means: Array | None = None
+    packed: Array | None = None
     if x0 is not None:
         means = _stacked("x0", x0, (n,), layout, records)
         _check_rotations(layout, np.asarray(means, float))
-    packed = np.array([layout.prior[1]], kind)
     if P0 is not None:
         covariances = _stacked("P0", P0, (ne, ne), layout, records)
         rows, columns = np.tril_indices(ne)

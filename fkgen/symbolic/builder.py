@@ -5,23 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 
 from fkgen.errors import InternalError
+from fkgen.symbolic.index import At, Index, Target, Whole, name_of, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column
-from fkgen.symbolic.recursion import Block, Condition, Guard, Phase, Variable
+from fkgen.symbolic.recursion import Block, Condition, Guard, Loop, Phase, Variable
 
 
 class PhaseBuilder:
     """Write a phase line by line; `phase` freezes it."""
 
     def __init__(self, ports: Mapping[str, ca.SX]) -> None:
-        self._symbols = dict(ports)
-        self._owner = {e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)}
+        self._symbols: dict[Target, ca.SX] = {}
+        self._symbols.update((name, symbol) for name, symbol in ports.items())
+        self._owner: dict[int, Target] = {
+            e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)
+        }
         self._variables: list[Variable] = []
-        self._blocks: list[Block] = []
+        self._blocks: list[Block | Loop] = []
         self._condition: Condition | None = None
         self._titles: list[str] = []
 
@@ -34,7 +39,7 @@ class PhaseBuilder:
 
     @contextmanager
     def if_present(
-        self, row: int | None, positive: ca.SX | None = None, *, present: bool = True
+        self, row: Whole | None, positive: ca.SX | None = None, *, present: bool = True
     ) -> Iterator[None]:
         """Blocks written inside run only if this row of y is present (any row, if None)."""
         self._condition = Condition(row, positive, present)
@@ -44,6 +49,46 @@ class PhaseBuilder:
     def if_positive(self, positive: ca.SX) -> AbstractContextManager[None]:
         """Blocks written inside run only if ``positive`` is, whatever rows are present."""
         return self.if_present(None, positive, present=False)
+
+    @contextmanager
+    def loop(self, index: str, begin: Whole, end: Whole) -> Iterator[Index]:
+        """Blocks and loops written inside run for index = begin, ..., end - 1.
+
+        A condition around it is that of the whole loop, and is asked for once.
+        """
+        outer, condition = self._blocks, self._condition
+        self._blocks, self._condition = [], None
+        yield variable(index)
+        *sections, title = self._titles or [""]
+        section = "; ".join(sections)
+        body = tuple(self._blocks)
+        outer.append(Loop(title, index, begin, end, body, condition, section=section))
+        self._blocks, self._condition = outer, condition
+
+    def at(self, name: str, index: Whole) -> ca.SX:
+        """The element of a variable that an index leads to, as a symbol."""
+        if isinstance(index, int):
+            return self._symbols[name][index]
+        place = At(name, index)
+        if place not in self._symbols:
+            symbol = ca.SX.sym(f"{name}[{index}]")
+            self._symbols[place] = symbol
+            self._owner[symbol.element_hash()] = place
+        return self._symbols[place]
+
+    def array(self, name: str, value: ca.SX) -> str:
+        """The variable that a column is, for loops to read it, or a new one with its values."""
+        owner = self._owner.get(value[0].element_hash())
+        if isinstance(owner, str) and ca.is_equal(self._symbols[owner], value, 1):
+            return owner
+        self.local(name, value.numel())
+        self.assign({name: value})
+        return name
+
+    def table(self, name: str, values: Sequence[float]) -> None:
+        """Declare an array of constants that loops read."""
+        self.local(name, len(values))
+        self._variables[-1] = replace(self._variables[-1], values=tuple(values))
 
     def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
         """Declare a variable of this phase and return its symbol."""
@@ -59,12 +104,13 @@ class PhaseBuilder:
         """The symbol of a variable or port that is declared."""
         return self._symbols[name]
 
-    def assign(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
-        """Append a block: all assignments happen at once."""
+    def assign(self, assign: Mapping[Any, ca.SX], guards: Sequence[Guard] = ()) -> None:
+        """Append a block: all assignments, of variables by name or elements, happen at once."""
         dense = {name: ca.densify(value) for name, value in assign.items()}
         for name, value in dense.items():
-            if value.shape != self._symbols[name].shape:
-                raise InternalError(f"{name} is {self._symbols[name].shape}, given {value.shape}")
+            shape = self._symbols[name].shape if isinstance(name, str) else (1, 1)
+            if value.shape != shape:
+                raise InternalError(f"{name} is {shape}, given {value.shape}")
         *sections, title = self._titles or [""]
         block = Block(title, dense, self._condition, tuple(guards), section="; ".join(sections))
         self._blocks.append(block)
@@ -126,22 +172,44 @@ class PhaseBuilder:
 
     def phase(self, *, unless: str | None = None) -> Phase:
         """Freeze what was written, without assignments to locals that nothing reads."""
-        local = {variable.name for variable in self._variables}
         live: set[str] = set()
-        blocks: list[Block] = []
-        for block in reversed(self._blocks):
-            assign = {k: v for k, v in block.assign.items() if k not in local or k in live}
-            if not (assign or block.guards):
-                continue
-            condition = block.when.positive if block.when else None
-            values = [*assign.values(), *(guard.values for guard in block.guards)]
-            values += [] if condition is None else [condition]
-            reads = {self._owner[e.element_hash()] for v in values for e in ca.symvar(v)}
-            blocks.append(replace(block, assign=assign, reads=tuple(sorted(reads))))
-            live |= reads
+        blocks = self._live(self._blocks, live)
         variables = tuple(v for v in self._variables if v.name in live)
-        symbols = {k: v for k, v in self._symbols.items() if k not in local or k in live}
-        return Phase(tuple(reversed(blocks)), variables, symbols, unless)
+        dead = {variable.name for variable in self._variables} - live
+        symbols = {k: v for k, v in self._symbols.items() if name_of(k) not in dead}
+        return Phase(blocks, variables, symbols, unless)
+
+    def _live(self, blocks: Sequence[Block | Loop], live: set[str]) -> tuple[Block | Loop, ...]:
+        """The blocks that compute what is ``live`` after them; then it is what is before them."""
+        local = {variable.name for variable in self._variables}
+        found: list[Block | Loop] = []
+        for block in reversed(blocks):
+            values = (
+                [] if block.when is None or block.when.positive is None else [block.when.positive]
+            )
+            left: Block | Loop
+            if isinstance(block, Loop):
+                body, known = self._live(block.body, live), set[str]()
+                while known != live:  # what one round reads another one may have written
+                    known = set(live)
+                    body = self._live(block.body, live)
+                if not body:
+                    continue
+                left = replace(block, body=body)
+            else:
+                assign = {
+                    k: v
+                    for k, v in block.assign.items()
+                    if name_of(k) in live or name_of(k) not in local
+                }
+                if not (assign or block.guards):
+                    continue
+                values = [*assign.values(), *(guard.values for guard in block.guards), *values]
+                left = replace(block, assign=assign)
+            reads = {self._owner[e.element_hash()] for v in values for e in ca.symvar(v)}
+            found.append(replace(left, reads=tuple(sorted(reads, key=str))))
+            live |= {name_of(place) for place in reads}
+        return tuple(reversed(found))
 
 
 def _without_sign(value: ca.SX) -> tuple[ca.SX, int]:

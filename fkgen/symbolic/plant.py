@@ -134,14 +134,17 @@ def _derivatives(lifted: Lifted | None) -> dict[str, Any]:
     )
 
 
-def sensed_at_prior(spec: Spec, plant: Model | Mode) -> NDArray[np.float64]:
-    """C of a plant, or the derivative of its h at x0 and u = 0, parameters at their defaults."""
+def sensed_at_prior(
+    spec: Spec, plant: Model | Mode, parameters: Mapping[str, float] | None = None
+) -> NDArray[np.float64]:
+    """C of a plant, or the derivative of its h at x0 and u = 0; parameters are the defaults."""
+    at = {**spec.defaults, **(parameters or {})}
     if plant.equations is None:
-        return plant.C.values(spec.defaults)
-    parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
-    lifted = lift_equations(plant.equations, parameters, (spec.model.states, spec.model.outputs))
-    symbols = [lifted.x, lifted.u, *parameters.values()]
-    values = [spec.model.x0.values(), np.zeros(lifted.u.numel()), *spec.defaults.values()]
+        return plant.C.values(at)
+    named = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
+    lifted = lift_equations(plant.equations, named, (spec.model.states, spec.model.outputs))
+    symbols = [lifted.x, lifted.u, *named.values()]
+    values = [spec.model.x0.values(at), np.zeros(lifted.u.numel()), *(at[name] for name in named)]
     return np.array(ca.Function("C", symbols, [lifted.C])(*values))
 
 

@@ -92,15 +92,21 @@ def innovation_ports(spec: Spec) -> tuple[Port, ...]:
 
 
 def prior_of(spec: Spec) -> tuple[Start, Start]:
-    """x0, and P0 packed: what every prediction for sample 0 is."""
-    P0 = spec.model.P0.values()
-    state = tuple(float(v) for v in spec.model.x0.values().ravel())
+    """x0, and P0 packed: what every prediction for sample 0 is; with the default parameters."""
+    P0 = spec.model.P0.values(spec.defaults)
+    state = tuple(float(v) for v in spec.model.x0.values(spec.defaults).ravel())
     return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.ne))
 
 
 def prior_symbols(model: Model | Plant) -> dict[str, ca.SX]:
     """What the phase that starts a filter reads: mean and packed covariance of the prior."""
     return {"x": ca.SX.sym("x", model.nx), "P": ca.SX.sym("P", len(triangle(model.ne)))}
+
+
+def prior_ports(n: int) -> tuple[Port, ...]:
+    """What the phase writes that computes the prior of the spec."""
+    mean = shown("x", (n,), "mean of the prior", unit="x")
+    return mean, shown("P", (n, n), "its covariance", unit="xx", symmetric=True)
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:

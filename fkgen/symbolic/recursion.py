@@ -1,9 +1,11 @@
 """A recursion as a frozen value: ports, phases of blocks, guards. What families build.
 
-A block assigns whole variables, all at once, from the values that the variables have when the block
-begins. A conditional block runs only when its row of ``y`` is present, or a value positive. That is
-all the control flow there is inside a phase, so a block is one CasADi function, and a phase is
-straight-line C with a few branches. Work that most samples do without is a phase of its own.
+A block assigns variables, or elements of them, all at once, from the values that the variables have
+when the block begins. A conditional block runs only when its row of ``y`` is present, or a value
+positive. A loop runs blocks and loops for every value of an index between constant bounds, or those
+of the loops around it. That is all the control flow there is inside a phase, so a block is one
+CasADi function, and a phase is C with a few branches, in straight lines where nothing grows large.
+Work that most samples do without is a phase of its own.
 """
 
 from __future__ import annotations
@@ -15,12 +17,16 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from fkgen.errors import InternalError
 from fkgen.problem import Matrix, Number, Spec
 from fkgen.problem.functions.named import UNIT_TOLERANCE
 from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.domain import demands
+from fkgen.symbolic.index import At, Index, Target, Whole, name_of
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
+from fkgen.symbolic.lifting.expressions import lift
 from fkgen.symbolic.lifting.rotations import scaled_to_unit, within
+from fkgen.symbolic.linalg import column, pack
 from fkgen.symbolic.ports import PARAMETER, prior_of, prior_symbols
 
 
@@ -40,18 +46,30 @@ class Condition:
     With ``present`` false, whatever rows are present.
     """
 
-    row: int | None
+    row: Whole | None
     positive: ca.SX | None = None
     present: bool = True
+
+    def threshold(
+        self, reads: Sequence[Target], symbols: Mapping[Target, ca.SX]
+    ) -> ca.Function | None:
+        """The value that has to be positive, if there is one, as a function of what is read."""
+        if self.positive is None:
+            return None
+        return ca.Function("threshold", [symbols[place] for place in reads], [self.positive])
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A local of one phase. With an ``initial`` value it may be assigned under a condition."""
+    """A local of one phase. With an ``initial`` value it may be assigned under a condition.
+
+    With ``values`` it is a table of constants, and never assigned.
+    """
 
     name: str
     size: int
     initial: float | None = None
+    values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,23 +77,61 @@ class Block:
     """Simultaneous assignments ``variable := expression`` with the guards that precede them."""
 
     title: str
-    assign: Mapping[str, ca.SX]
+    assign: Mapping[Target, ca.SX]
     when: Condition | None = None
     guards: tuple[Guard, ...] = ()
-    reads: tuple[str, ...] = ()
+    reads: tuple[Target, ...] = ()
     section: str = ""  # What the title stands under
 
-    def function(self, symbols: Mapping[str, ca.SX]) -> ca.Function:
+    def function(self, symbols: Mapping[Target, ca.SX]) -> ca.Function:
         """The assigned values in order, then the guards, as one CasADi function of what is read."""
         outputs = [*self.assign.values(), *(guard.values for guard in self.guards)]
         return ca.Function("block", [symbols[name] for name in self.reads], outputs)
 
-    def threshold(self, symbols: Mapping[str, ca.SX]) -> ca.Function | None:
+    def threshold(self, symbols: Mapping[Target, ca.SX]) -> ca.Function | None:
         """The value that must be positive for the block to run, if there is one."""
-        if self.when is None or self.when.positive is None:
-            return None
-        arguments = [symbols[name] for name in self.reads]
-        return ca.Function("threshold", arguments, [self.when.positive])
+        return None if self.when is None else self.when.threshold(self.reads, symbols)
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Blocks and loops that run for index = begin, ..., end - 1, one value after the other.
+
+    ``reads`` is what the condition needs; it is asked for once, before the loop.
+    """
+
+    title: str
+    index: str
+    begin: Whole
+    end: Whole
+    body: tuple[Block | Loop, ...]
+    when: Condition | None = None
+    reads: tuple[Target, ...] = ()
+    section: str = ""
+
+    def threshold(self, symbols: Mapping[Target, ca.SX]) -> ca.Function | None:
+        """The value that must be positive for the loop to run, if there is one."""
+        return None if self.when is None else self.when.threshold(self.reads, symbols)
+
+    @property
+    def is_parallel(self) -> bool:
+        """Whether its order does not matter: elements are written that no other round reads."""
+        blocks = [block for block in self.body if isinstance(block, Block)]
+        targets = [target for block in blocks for target in block.assign]
+        written = {target.name: target for target in targets if isinstance(target, At)}
+        reads = [target for block in blocks for target in block.reads]
+        return (
+            len(blocks) == len(self.body)
+            and all(block.when is None for block in blocks)
+            and all(
+                isinstance(target, At)
+                and target == written[target.name]
+                and isinstance(target.index, Index)
+                and target.index.rises_with(self.index)
+                for target in targets
+            )
+            and all(each == written.get(name_of(each), each) for each in reads)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +141,9 @@ class Phase:
     With ``unless`` the phase is left out while the port of this name, a scalar, is positive.
     """
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[Block | Loop, ...]
     variables: tuple[Variable, ...]
-    symbols: Mapping[str, ca.SX]
+    symbols: Mapping[Target, ca.SX]
     unless: str | None = None
 
 
@@ -112,30 +168,27 @@ class Recursion:
     repeats: tuple[tuple[int, ...], ...] | None = None
     #: Writes start values that are computed from the prior, its mean ``x`` and covariance ``P``
     start: Phase | None = None
-    #: Start values in place of those that ports have; complete once this is made
+    #: Writes this prior where that of the spec depends on parameters
+    prior: Phase | None = field(init=False, default=None)
+    #: Start values in place of those that ports have; complete once this is made, with the default
+    #: parameters
     initial: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
-        starts = {
-            port.name: prior[port.prior] * (port.size // len(prior[port.prior]))
-            if port.prior
-            else port.start
-            for port in self.ports
-            if port.prior or port.start
-        }
+        starts = {port.name: port.start for port in self.ports if port.start}
+        object.__setattr__(self, "prior", _prior(self.spec, self.update.symbols))
         bounded = all(_is_bounded(getattr(plant, x)) for plant in self.spec.plants for x in "QR")
         for name in ("update", "predict", "closing", "start"):
             phase = getattr(self, name)
             if phase is not None:
                 sound = _guarded(phase, self.ports, bounded=bounded)
+                if name != "closing":
+                    sound = _within_domain(self.spec, sound, starting=name == "start")
                 object.__setattr__(self, name, sound)
         if attitudes := self.spec.model.attitudes:
             object.__setattr__(self, "start", _from_rotations(self, attitudes))
-        computed = {} if self.start is None else _evaluated(self.start, prior)
-        object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
-        for name in ("update", "predict"):
-            object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
+        begun = self.begun(self.spec.defaults)
+        object.__setattr__(self, "initial", {**starts, **begun, **self.initial})
         names = [port.name for port in self.ports]
         for i, name in enumerate(self.spec.code.ports or ()):
             if name not in names:
@@ -149,6 +202,16 @@ class Recursion:
         closing = () if self.closing is None else (self.closing,)
         return self.update, *closing, self.predict
 
+    def begun(self, parameters: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
+        """Start values that follow from the prior, and from the parameters of sample 0."""
+        given = {PARAMETER + name: (float(value),) for name, value in parameters.items()}
+        prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
+        if self.prior is not None:
+            prior = _evaluated(self.prior, given)
+        copied = {port.name: prior[port.prior] for port in self.ports if port.prior}
+        copied = {name: v * (self.port(name).size // len(v)) for name, v in copied.items()}
+        return copied | ({} if self.start is None else _evaluated(self.start, given | prior))
+
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
@@ -158,12 +221,19 @@ class Recursion:
 _DOMAIN = "run-time parameters in their range"
 
 
-def _within_domain(spec: Spec, phase: Phase) -> Phase:
-    """The phase, which refuses first of all what the spec has no meaning for."""
+def _within_domain(spec: Spec, phase: Phase, *, starting: bool = False) -> Phase:
+    """The phase, which refuses first of all what the spec has no meaning for.
+
+    A start that no parameter decides has a meaning always.
+    """
     names = [item.name for item in spec.parameters if PARAMETER + item.name in phase.symbols]
+    read = {name for block in phase.blocks for name in block.reads}
     if len(names) < len(spec.parameters) or phase.blocks[0].title == _DOMAIN:
         return phase
-    found = demands(spec, {name: phase.symbols[PARAMETER + name] for name in names})
+    if starting and not any(PARAMETER + name in read for name in names):
+        return phase
+    parameters = {name: phase.symbols[PARAMETER + name] for name in names}
+    found = demands(spec, parameters, starting=starting)
     if not found:
         return phase
     status = Status.PARAMETER_OUT_OF_RANGE
@@ -190,31 +260,64 @@ def _from_rotations(recursion: Recursion, attitudes: tuple[int, ...]) -> Phase:
         scaled[at : at + 4] = scaled_to_unit(x[at : at + 4], ROUNDED[recursion.spec.code.scalar])
     guard = Guard(ca.vertcat(*limits), Kind.NONNEGATIVE, Status.NOT_A_ROTATION)
     blocks = [Block("quaternions of unit length", {_UNIT: scaled}, None, (guard,), ("x",))]
-    symbols = {port.name: ca.SX.sym(port.name, port.size) for port in recursion.ports} | given
+    symbols: dict[Target, ca.SX] = {
+        port.name: ca.SX.sym(port.name, port.size) for port in recursion.ports
+    }
+    symbols.update(given)
     if own is None:
         symbols[_UNIT], written = ca.SX.sym(_UNIT, x.numel()), set()
     else:
         symbols |= {**own.symbols, _UNIT: own.symbols["x"], "x": x}
-        written = {name for block in own.blocks for name in block.assign}
-        for block in own.blocks:
+        own_blocks = [block for block in own.blocks if isinstance(block, Block)]
+        written = {name_of(target) for block in own_blocks for target in block.assign}
+        for block in own_blocks:
             reads = tuple(_UNIT if name == "x" else name for name in block.reads)
             blocks.append(replace(block, reads=reads))
     priors = [p for p in recursion.ports if p.prior == "x" and p.name not in written]
-    means = {p.name: ca.repmat(symbols[_UNIT], p.size // x.numel()) for p in priors}
+    means: dict[Target, ca.SX] = {
+        p.name: ca.repmat(symbols[_UNIT], p.size // x.numel()) for p in priors
+    }
     blocks.append(Block("every mean", means, None, (), (_UNIT,)))
     variables = (*(() if own is None else own.variables), Variable(_UNIT, x.numel()))
     return Phase(tuple(blocks), variables, symbols)
 
 
+def _prior(spec: Spec, symbols: Mapping[Target, ca.SX]) -> Phase | None:
+    """x0 and P0 where they depend on parameters."""
+    model = spec.model
+    if model.x0.is_constant and model.P0.is_constant:
+        return None
+    parameters = {item.name: symbols[PARAMETER + item.name] for item in spec.parameters}
+    x, P = ca.densify(lift(model.x0, parameters)), lift(model.P0, parameters)
+    variances = [P[i, i] for i in range(model.ne) if not P[i, i].is_constant()]
+    assign: dict[Target, ca.SX] = {"x": x, "P": pack(P)}
+    guards = [Guard(column(variances), Kind.NONNEGATIVE, Status.PARAMETER_OUT_OF_RANGE)]
+    every = [each for values in assign.values() for each in ca.vertsplit(values)]
+    computed = [each for each in every if not (each.is_constant() or each.is_leaf())]
+    guards += [Guard(column(computed), Kind.FINITE, Status.RESULT_NOT_FINITE)]
+    guards = [guard for guard in guards if guard.values.numel()]
+    used = {each.name() for value in assign.values() for each in ca.symvar(value)}
+    reads = tuple(sorted(PARAMETER + name for name in used))
+    block = Block("mean and covariance of the prior", assign, None, tuple(guards), reads)
+    names = (PARAMETER + item.name for item in spec.parameters)
+    own: dict[Target, ca.SX] = {name: symbols[name] for name in names}
+    own.update(prior_symbols(model))
+    phase = Phase((block,), (), own)
+    return _within_domain(spec, phase, starting=True)
+
+
 def _evaluated(
     phase: Phase, given: Mapping[str, tuple[float, ...]]
 ) -> dict[str, tuple[float, ...]]:
-    """What a phase without conditions assigns."""
-    values: dict[str, ca.DM] = {name: ca.DM(list(value)) for name, value in given.items()}
+    """What a phase without conditions and loops assigns."""
+    values: dict[Target, ca.DM] = {name: ca.DM(list(value)) for name, value in given.items()}
     for block in phase.blocks:
+        if isinstance(block, Loop):
+            raise InternalError("start values do not come from loops")
         found = block.function(phase.symbols).call([values[name] for name in block.reads])
         values |= dict(zip(block.assign, found, strict=False))
-    written = (values.keys() - given.keys()) - {variable.name for variable in phase.variables}
+    local = {variable.name for variable in phase.variables}
+    written = {name_of(target) for target in values.keys() - given.keys()} - local
     return {name: tuple(np.asarray(values[name]).ravel().tolist()) for name in written}
 
 
@@ -223,23 +326,33 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
     places = {port.name: _places(port, bounded=bounded) for port in ports}
     copied = {e.element_hash() for name in places for e in ca.symvar(phase.symbols[name])}
     sound: set[int] = set()  # locals that a guard has seen since they were assigned
-    blocks = []
-    for block in phase.blocks:
+
+    def written(block: Block) -> list[ca.SX]:
+        found = []
+        for target, value in block.assign.items():
+            if name_of(target) in places:
+                at = places[name_of(target)] if isinstance(target, str) else [0]
+                found += [value[i] for i in at]
+        return found
+
+    def guarded(block: Block | Loop, *, once: bool) -> Block | Loop:
+        nonlocal sound
+        if isinstance(block, Loop):
+            body = tuple(guarded(each, once=False) for each in block.body)
+            return replace(block, body=body)
         finite = [guard.values for guard in block.guards if guard.kind is Kind.FINITE]
         seen = {value.element_hash() for values in finite for value in ca.vertsplit(values)}
-        written = [
-            block.assign[name][i] for name in block.assign if name in places for i in places[name]
-        ]
-        values = {value.element_hash(): value for value in written if not value.is_constant()}
+        values = {v.element_hash(): v for v in written(block) if not v.is_constant()}
         left = [value for key, value in values.items() if key not in seen | copied | sound]
         guards = block.guards
         if left:
             guards += (Guard(ca.vertcat(*left), Kind.FINITE, Status.RESULT_NOT_FINITE),)
-        blocks.append(replace(block, guards=guards))
-        sound |= seen if block.when is None else set()
-        for name in block.assign:
-            sound -= {e.element_hash() for e in ca.symvar(phase.symbols[name])}
-    return replace(phase, blocks=tuple(blocks))
+        sound |= seen if block.when is None and once else set()
+        for target in block.assign:
+            sound -= {e.element_hash() for e in ca.symvar(phase.symbols[name_of(target)])}
+        return replace(block, guards=guards)
+
+    return replace(phase, blocks=tuple(guarded(block, once=True) for block in phase.blocks))
 
 
 def _is_bounded(covariance: Matrix) -> bool:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
 import casadi as ca
 import numpy as np
 
+from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import rates_of
 from fkgen.faults import ActuatorFaults, JumpFaults, Moments, SensorFaults
 from fkgen.faults.actuator import pattern_law
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Spec
 from fkgen.problem.probability import Distribution
 from fkgen.problem.table.place import Place
-from fkgen.symbolic.lifting.expressions import lift
+from fkgen.symbolic.domain import law_of
+from fkgen.symbolic.lifting.expressions import lift, lift_expression
+from fkgen.symbolic.linalg import column, sparse
 from fkgen.symbolic.plant import Plant
 
 _COUNTED = 255  # codes of conditions and hypotheses fit a byte
@@ -38,6 +42,7 @@ class Conditions:
     prior: tuple[float, ...] = ()  # of hypotheses, one of which is true throughout a trial
     initial: tuple[float, ...] = ()  # probabilities of the chain at sample 0
     kernel: tuple[tuple[float, ...], ...] = ()
+    moving: bool = False  # each sample has a kernel of its own, in place of this one
     indicators: tuple[tuple[float, ...], ...] = ()  # what each condition hands to the plant
     modes: tuple[int, ...] = ()  # the mode of each condition: several if their past matters
     lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
@@ -91,6 +96,7 @@ def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
     return Conditions(
         initial=tuple(np.array(chain.initial)[order].tolist()),
         kernel=tuple(map(tuple, np.array(chain.transition)[np.ix_(order, order)].tolist())),
+        moving=any(each is not None for each in (faults.law, faults.rate, faults.arrivals)),
         indicators=tuple(map(tuple, np.column_stack([states, at, at >= 0]).tolist())),
         modes=tuple((order % count).tolist()),
         lost=() if channel is None else tuple((order >= count).astype(int).tolist()),
@@ -112,6 +118,7 @@ def _of_pairs(spec: Spec, faults: JumpFaults) -> Conditions:
         modes=tuple(now.tolist()),
         plants=N,
         rows=tuple(range(spec.model.ny)),
+        moving=faults.law is not None,
         entering=True,
         held=tuple(faults.held[mode] for mode in now),
     )
@@ -128,13 +135,42 @@ def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:
         initial, kernel = _law_of_moments(faults.moments)
         modes = (*modes, 2, 3)
     numbers = [(gamma, math.sqrt(delta)) for gamma, delta in faults.conditions]
+    if faults.factor is not None:  # whether the noise is larger; how much is for each sample to say
+        numbers = [(gamma, float(i % 2)) for i, (gamma, _) in enumerate(faults.conditions)]
     return Conditions(
         initial=initial,
         kernel=kernel,
+        moving=faults.law is not None,
         indicators=tuple(numbers[mode] for mode in modes),
         modes=modes,
         rows=faults.rows,
     )
+
+
+def moving_kernel(spec: Spec, before: Mapping[str, ca.SX], now: Mapping[str, ca.SX]) -> ca.SX:
+    """The kernel into a sample, with parameters of the sample before it and of its own."""
+    sensor, jump = spec.faults.sensor, spec.faults.jump
+    if sensor is not None and sensor.law is not None:
+        return law_of(sensor.law, now if sensor.independent else before)
+    if jump is None:
+        raise InternalError("no chain with a kernel of each sample")
+    P = law_of(jump.law or Matrix.of(jump.transition), now if jump.unequal else before)
+    if jump.unequal:  # the next mode is part of the pair
+        first, second = (each.ravel() for each in np.indices(P.shape))
+        following = [P[int(i), int(j)] for i, j in zip(first, second, strict=True)]
+        return sparse(
+            ca.DM(second[:, np.newaxis] == first) * ca.repmat(column(following).T, second.size, 1)
+        )
+    channel, count = jump.channel, len(jump.modes)
+    if channel is None:
+        return P
+    if jump.rate is None:
+        arrival = law_of(channel.law or Matrix.of(channel.transition), before)
+    else:
+        rate = lift_expression(jump.rate, now)
+        arrival = ca.blockcat([[1 - rate, rate], [1 - rate, rate]])
+    order = [count * i + m for m in range(count) for i in (0, 1)]  # lost and arrived, mode by mode
+    return ca.SX(ca.kron(arrival, P)[order, order])
 
 
 def _law_of_moments(moments: Moments) -> tuple[Distribution, tuple[Distribution, ...]]:

@@ -127,8 +127,9 @@ def sampler(spec: Spec) -> CompiledSampler:
         source = render_sampler(spec)
         text = folder / f"{spec.name}_sampler.c"
         text.write_text(source.text, encoding="utf-8")
-        compile_shared(compiler, text, folder / cache.LIBRARY, flops=source.operations)
+        compile_shared(compiler, text, folder / cache.LIBRARY, statements=source.operations)
         (folder / cache.LAYOUT).write_text(source.facts, encoding="utf-8")
 
-    key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), compiler.identity)
+    laws = repr(spec.faults) if spec.faults.law_names else ""  # with their numbers at sample 0
+    key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), laws, compiler.identity)
     return CompiledSampler(cache.find(key) or cache.store(key, fill))

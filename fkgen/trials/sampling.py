@@ -27,20 +27,27 @@ from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.lifting.equations import box_plus, normalised
+from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import column, is_zero, reduced, sparse, total
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.trials import random_numbers
-from fkgen.trials.conditions import Conditions, conditions_of, probabilities_of
+from fkgen.trials.conditions import (
+    Conditions,
+    conditions_of,
+    moving_kernel,
+    probabilities_of,
+)
 from fkgen.version import __version__
 
 #: What a phase reads besides parameters; none of it is kept by the sampler.
-_INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
+_INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis", "before")
 #: What phases write.
 _WRITTEN = {
     "state": "x[k]",
     "measurement": "y[k]",
     "threshold": "probabilities at which coins fall, summed up",
+    "chain": "probabilities of the next condition after each, summed up",
 }
 _NORMAL = {Operator.LOG, Operator.SQRT}  # what normal numbers need
 _NEGLIGIBLE = 1e-14  # a pivot below this share of its diagonal entry is the rounding of a zero
@@ -126,8 +133,8 @@ def _phases(
     return ports, {
         ("start", "x[0]"): _start(spec, symbols),
         ("law", "probabilities of coins, summed up"): _law(spec, plants[0], conditions, symbols),
-        ("measure", "y[k]"): _sample(plants, conditions, symbols, "measurement"),
-        ("move", "x[k+1]"): _sample(plants, conditions, symbols, "state"),
+        ("measure", "y[k]"): _sample(spec, plants, conditions, symbols, "measurement"),
+        ("move", "x[k+1]"): _sample(spec, plants, conditions, symbols, "state"),
     }
 
 
@@ -141,11 +148,12 @@ def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.S
     n, p = plant.nx, plant.ny
     numbers = len(conditions.indicators[0]) if conditions.indicators else 0
     drawn = noise_count(spec)
-    sizes = (n, plant.nu, drawn, p, conditions.coins, numbers, len(conditions.prior))
-    written = (n, p, sum(len(draw.patterns) - 1 for draw in conditions.draws))
+    named, count = {item.name for item in spec.stated_parameters}, len(conditions.initial)
+    sizes = (n, plant.nu, drawn, p, conditions.coins, numbers, len(conditions.prior), len(named))
+    thresholds = sum(len(draw.patterns) - 1 for draw in conditions.draws)
+    written = (n, p, thresholds, count * (count - 1) if conditions.moving else 0)
     names = zip((*_INPUTS, *_WRITTEN), (*sizes, *written), strict=True)
     symbols = {name: ca.SX.sym(name, size) for name, size in names}
-    named = {item.name for item in spec.stated_parameters}
     return symbols | {PARAMETER + k: s for k, s in plant.parameters.items() if k in named}
 
 
@@ -173,14 +181,33 @@ def _law(
         thresholds += sums
     if thresholds:
         builder.assign({"threshold": column(thresholds)})
+    if conditions.moving:
+        names = [item.name for item in spec.stated_parameters]
+        before = dict(zip(names, ca.vertsplit(symbols["before"]), strict=True))
+        kernel = moving_kernel(spec, before, plant.parameters)
+        rows = [list(accumulate(ca.horzsplit(row))) for row in ca.vertsplit(kernel)]
+        builder.assign({"chain": column([each / row[-1] for row in rows for each in row[:-1]])})
     return builder.phase()
 
 
+def _root_factor(spec: Spec, plant: Plant) -> ca.SX | None:
+    """How much larger the noise of a faulty row is, where that depends on parameters."""
+    faults = spec.faults.sensor
+    if faults is None or faults.factor is None:
+        return None
+    return ca.sqrt(lift_expression(faults.factor, plant.parameters))
+
+
 def _sample(
-    plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
+    spec: Spec,
+    plants: tuple[Plant, ...],
+    conditions: Conditions,
+    symbols: Mapping[str, ca.SX],
+    port: str,
 ) -> recursion.Phase:
     """y[k] = s h(x, u) + f root(R) v, or x[k+1] = f(x, u, w) (+) root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
+    by_equations = plants[0].lifted is not None
     if conditions.entering and port == "state":
         indicator = indicator[-conditions.plants :]
     covariances = [plant.R if port == "measurement" else plant.Q for plant in plants]
@@ -192,8 +219,8 @@ def _sample(
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
     value = _stated(builder, plants, indicator, (symbols["x"], u, symbols["w"]), port)
     if port == "measurement":
-        added, by = root @ symbols["v"], plants[0].lifted is not None
-        value = _sensed(conditions, indicator, value, added, guarded=by)
+        added, factor = root @ symbols["v"], _root_factor(spec, plants[0])
+        value = _sensed(conditions, (indicator, factor), value, added, guarded=by_equations)
         for row in plants[0].wraps:
             value[row] = reduced(value[row])
     else:
@@ -251,12 +278,22 @@ def _while(holds: ca.SX, value: ca.SX) -> ca.SX:
 
 
 def _sensed(
-    conditions: Conditions, indicator: ca.SX, value: ca.SX, added: ca.SX, *, guarded: bool
+    conditions: Conditions,
+    told: tuple[ca.SX, ca.SX | None],
+    value: ca.SX,
+    added: ca.SX,
+    *,
+    guarded: bool,
 ) -> ca.SX:
-    """Measurements of a signal and its noise, with what the condition makes of both."""
+    """Measurements of a signal and its noise, with what the condition makes of both.
+
+    ``told`` are the indicators, and the factor of the noise where that depends on parameters.
+    """
     signal, deviation = ca.SX.ones(value.numel()), ca.SX.ones(value.numel())
     for row in conditions.rows:
-        signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
+        signal[row], deviation[row] = ca.vertsplit(told[0][conditions.plants :][:2])
+        if told[1] is not None:
+            deviation[row] = 1 + deviation[row] * (told[1] - 1)
     seen = signal * value
     if guarded:  # a signal that is lost may have no value
         pairs = zip(ca.vertsplit(signal), ca.vertsplit(ca.densify(value)), strict=True)

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
 from fkgen.errors import DataError
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Spec, evaluate
+from fkgen.problem.covariance import SEMIDEFINITE, negative_direction
 from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
@@ -97,7 +98,13 @@ class Simulation:
     @cached_property
     def delta(self) -> Array | None:
         """(M, T): noise variance over R of the rows that can fail, 1 or C, for sensor faults."""
-        return self._condition(1)
+        sensor, mode = self.spec.faults.sensor, self.mode
+        if sensor is None or sensor.factor is None or mode is None:
+            return self._condition(1)
+        given = {k: np.broadcast_to(v, self.request.steps).tolist() for k, v in self.params.items()}
+        samples = (dict(zip(given, row, strict=True)) for row in zip(*given.values(), strict=True))
+        factor = np.array([evaluate(sensor.factor, sample) for sample in samples])
+        return np.where(mode % 2 == 1, factor, 1.0)
 
     def _condition(self, part: int) -> Array | None:
         if self.mode is None or self.spec.faults.sensor is None:
@@ -163,7 +170,7 @@ def simulate(
     told = _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
     given = _parameters(spec, params, steps)
-    request = replace(request, spec=_with_laws(spec, given))
+    request = replace(request, spec=_with_laws(_with_start(spec, given), given))
     trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     trials = replace(trials, measurement=_measured(spec, trials, present))
     y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
@@ -171,27 +178,39 @@ def simulate(
 
 
 def _parameters(spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
-    """Run-time parameters by name, (1,) or (T,)."""
+    """Every parameter of the file, one number or (T,)."""
     named = {item.name: item.default for item in spec.stated_parameters}
     values = record.values_of(tuple(named.items()), params, steps, np.float64)
     return {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
 
 
+def _with_start(spec: Spec, given: Mapping[str, Array]) -> Spec:
+    """The spec whose prior has the parameters of sample 0."""
+    model = spec.model
+    if model.x0.is_constant and model.P0.is_constant:
+        return spec
+    at = spec.defaults | {name: float(values.flat[0]) for name, values in given.items()}
+    try:
+        x0, P0 = (Matrix.of(each.values(at)) for each in (model.x0, model.P0))
+    except ArithmeticError as fault:
+        raise DataError("params", given=str(fault), expected="values that x0 and P0 have") from None
+    if found := negative_direction(P0.values()):
+        raise DataError("params", given=f"P0 with {found}", expected=SEMIDEFINITE)
+    return replace(spec, model=replace(model, x0=x0, P0=P0))
+
+
 def _with_laws(spec: Spec, given: Mapping[str, Array]) -> Spec:
-    """The spec whose laws have the parameters of all samples, which have to be the same."""
+    """The spec whose laws have the parameters of all samples, or begin with those of sample 0."""
     wanted = spec.faults.law_names
     if not wanted:
         return spec
-    for name in sorted(wanted & given.keys()):
-        if np.ptp(given[name]) > 0.0:
-            expected = "one number for all samples: probabilities of faults depend on it"
-            raise DataError(f"params.{name}", given="several values", expected=expected)
     at = spec.defaults | {name: float(values.flat[0]) for name, values in given.items()}
     if not spec.faults.in_domain(at):
         values = ", ".join(f"{name} = {at[name]:g}" for name in sorted(wanted))
         expected = "values with which faults have probabilities, and a positive noise_factor"
         raise DataError("params", given=values, expected=expected)
-    return replace(spec, faults=spec.faults.at(at))
+    moving = any(np.ptp(given[name]) > 0.0 for name in wanted & given.keys())
+    return replace(spec, faults=spec.faults.begun(at) if moving else spec.faults.at(at))
 
 
 def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:

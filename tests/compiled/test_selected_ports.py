@@ -18,6 +18,7 @@ from fkgen.backend.execute import Machine
 from fkgen.errors import SpecError
 from fkgen.families import NAMES
 from fkgen.study.records import filtering
+from fkgen.study.records.reading import Reading
 from fkgen.study.reports.starters import starter
 
 SPECS = spread.specs() | sensor_specs.every()
@@ -150,7 +151,7 @@ def test_a_port_that_does_not_exist_is_an_error_at_its_key(ports, message):
 
 
 @needs_compiler()
-def test_who_looks_into_a_filter_sees_all_of_it(tmp_path):
+def test_who_looks_into_a_filter_sees_all_of_it(tmp_path, capsys):
     spec, whole = selecting(SPECS["kf_correlated"]), SPECS["kf_correlated"]
     assert spec.whole == whole
     u = np.ones((9, whole.model.nu))
@@ -165,13 +166,13 @@ def test_who_looks_into_a_filter_sees_all_of_it(tmp_path):
     record = "\n".join(["y0,y1,u0,u1"] + ["1.0,2.0,0.5,0.5"] * 8)
     names = [s.name for s in (*whole.model.outputs, *whole.model.inputs)]
     (tmp_path / "r.csv").write_text(record.replace("y0,y1,u0,u1", ",".join(names)))
-    text, _, _ = filtering.run(
+    filtering.run(
         spec,
-        tmp_path / "r.csv",
+        Reading(path=tmp_path / "r.csv"),
         output=None,
         plot=tmp_path / "a.svg",
         keep="",
         force=False,
     )
-    assert text.startswith("filtered_state")
+    assert capsys.readouterr().out.startswith("filtered_state")
     assert (tmp_path / "a.svg").stat().st_size > 0

@@ -56,6 +56,9 @@ def changed(plant, **tables):
     return fkgen.Spec.from_dict(table)
 
 
+#: One of each kind of start.
+ONES = ("kf_functions", "mme", "dfcf_groups", "compression_full", "cpcf", "genie", "one_step")
+ONES += ("imm", "linear_absorbing", "augmented", "mjls")
 #: Without a constant term the mean has to stay where it is.
 CENTRED = {"linear_absorbing", "linear_moments"}
 NAMES = tuple(plants())
@@ -107,6 +110,25 @@ def test_a_start_is_the_prior_of_a_spec_that_states_it(name, scalar):
         for port in (port for port in found.ports if port != "innovation"):
             np.testing.assert_array_equal(run[port][k], last[port])
             np.testing.assert_array_equal(batch[port][:, k], np.stack([last[port]] * 2))
+
+
+@pytest.mark.parametrize("name", ONES)
+def test_a_prior_of_parameters_is_the_prior_of_their_values(name):
+    plant, (x0, P0) = plants()[name], prior(name)
+    n, own = len(x0), plant.model.P0.values(plant.defaults)
+    mean = [f"mean_{i}" for i in range(n)] if name not in CENTRED else [0.0] * n
+    both = [[f"prior_{max(i, j)}_{min(i, j)}" for j in range(n)] for i in range(n)]
+    defaults = {both[i][j]: float(own[i, j]) for i in range(n) for j in range(i + 1)}
+    defaults |= {each: 0.5 for each in mean if each}
+    y, u, params = data(plant, 5)
+    expected = fkgen.build(plant).run(y, u, params, start={"x0": x0, "P0": P0})
+    varying = changed(plant, model={"x0": mean, "P0": both}, parameters=defaults)
+    told = {both[i][j]: P0[i, j] for i in range(n) for j in range(i + 1)}
+    told |= {each: x0[i] for i, each in enumerate(mean) if each}
+    found = fkgen.build(varying).run(y, u, params | told)
+    np.testing.assert_array_equal(found.status, expected.status)
+    for port in expected.ports:
+        np.testing.assert_allclose(found[port], expected[port], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)

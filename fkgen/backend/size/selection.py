@@ -27,6 +27,16 @@ class _Pruning:
     kept: frozenset[str]
     only_shown: frozenset[ir.Operand]  # Values of ports that are left out, and of no other
     needed: set[ir.Operand] = field(default_factory=set)
+    arrays: set[tuple[Space, str]] = field(default_factory=set)  # of which something is needed
+    moving: set[tuple[Space, str]] = field(default_factory=set)  # the same, which loops choose
+
+    def loop(self, node: ir.For) -> ir.For | None:
+        """A loop, of which one round reads what another one wrote."""
+        known = -1
+        while known < len(self.needed):
+            known = len(self.needed)
+            body = self.body(node.body)
+        return replace(node, body=body) if body else None
 
     def body(self, body: ir.Body) -> ir.Body:
         """The statements that are needed, found from the last one on."""
@@ -43,11 +53,23 @@ class _Pruning:
             case ir.IfPresent() | ir.IfPositive():
                 body = self.body(node.body)
                 left = replace(node, body=body) if body else None
+            case ir.For():
+                left = self.loop(node)
             case ir.Operate(target) | ir.Copy(target) | ir.Assign(target):
-                left = node if target in self.needed or self._is_result(target) else None
+                left = node if self._is_needed(target) or self._is_result(target) else None
         if left is not None:
-            self.needed.update(ir.operands(left))
+            read = ir.operands(left)
+            self.needed.update(read)
+            elements = [each for each in read if isinstance(each, Element)]
+            self.arrays.update((each.space, each.name) for each in elements)
+            self.moving.update((each.space, each.name) for each in elements if each.moves)
         return left
+
+    def _is_needed(self, target: ir.Operand) -> bool:
+        """Whether something reads a target, or may, where loops move one of the two."""
+        if target in self.needed or not isinstance(target, Element):
+            return target in self.needed
+        return (target.space, target.name) in (self.arrays if target.moves else self.moving)
 
     def _is_result(self, target: ir.Operand) -> bool:
         if not isinstance(target, Element) or target.space is not Space.NEXT:

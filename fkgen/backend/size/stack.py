@@ -67,7 +67,8 @@ def _plain(
     """Names, each in a place of its own, those of what is called too."""
     names = sum(1 for node in ir.walk(body) if isinstance(node, ir.Operate | ir.Copy))
     names += sum(1 for operator in _operators(body) if operator in _ASKING or operator.is_function)
-    own = size * (names + sum(local.size for local in locals_)) + _SAVED
+    names += sum(1 for _ in ir.every(ir.For, body))
+    own = size * (names + _arrays(locals_)) + _SAVED
     calls = (routines[call.routine] for call in ir.every(ir.Call, body))
     return own + sum(_plain(each.locals, each.body, routines, size) for each in calls)
 
@@ -76,17 +77,23 @@ def _small(
     locals_: tuple[ir.Local, ...], body: ir.Body, routines: Mapping[str, ir.Routine], size: int
 ) -> int:
     """Arrays, and what is alive at the same time; of what is called the most."""
-    own = size * (_alive(body) + sum(local.size for local in locals_)) + _SAVED_SMALL
+    own = size * (_alive(body) + _arrays(locals_)) + _SAVED_SMALL
     called = [routines[name] for name in {call.routine for call in ir.every(ir.Call, body)}]
     return own + max((_small(each.locals, each.body, routines, size) for each in called), default=0)
+
+
+def _arrays(locals_: tuple[ir.Local, ...]) -> int:
+    """Scalars of locals; tables of constants are kept elsewhere."""
+    return sum(local.size for local in locals_ if not local.values)
 
 
 def _alive(body: ir.Body) -> int:
     """The most values that are computed and not yet used for the last time."""
     nodes = list(ir.walk(body))
+    loops = max((len(loops) for _, loops in ir.inside(body)), default=0)
     last = {operand: i for i, node in enumerate(nodes) for operand in ir.operands(node)}
     ends: dict[int, int] = {}
-    most = alive = 0
+    most = alive = loops
     for i, node in enumerate(nodes):
         if isinstance(node, ir.Operate | ir.Copy):
             alive += 1

@@ -15,11 +15,11 @@ import numpy as np
 from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
+from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
-    Form,
     condition,
 )
 from fkgen.problem import Spec
@@ -68,7 +68,7 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
-    P0, ratios = spec.model.P0.values(), [0.0]
+    P0, ratios = spec.model.P0.values(spec.defaults), [0.0]
     for plant in spec.plants:
         Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")
         C = sensed_at_prior(spec, plant)

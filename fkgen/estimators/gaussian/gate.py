@@ -14,6 +14,7 @@ import casadi as ca
 from fkgen.estimators.gaussian.rank import thresholds
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.index import Index, Whole
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status
 from fkgen.symbolic.linalg import column
 from fkgen.symbolic.ports import shown
@@ -42,7 +43,7 @@ class Gate:
         self,
         builder: PhaseBuilder,
         name: str,
-        row: int,
+        row: Whole,
         tested: tuple[ca.SX, ca.SX],
         significant: ca.SX | None,
     ) -> tuple[ca.SX, ca.SX]:
@@ -54,6 +55,8 @@ class Gate:
         with builder.if_present(row, significant):
             builder.demand(Kind.POSITIVE, [variance], Status.NOT_POSITIVE_DEFINITE)
         rejected = builder.local(name, 1, initial=0.0)
+        if isinstance(row, Index):  # in a loop, where it is that of the row before
+            builder.assign({name: ca.SX(0)})
         excess = innovation * innovation - self.limits[0] * variance
         if significant is not None:
             excess = ca.fmin(excess, significant)

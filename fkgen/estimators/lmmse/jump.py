@@ -30,9 +30,12 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, loss_ports
+from fkgen.estimators.models.start import first_law
+from fkgen.faults.chain import Channel, Lumping
 from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -89,21 +92,17 @@ class AugmentedState:
         self.rate: float | ca.SX = 1.0
         self.arrival = np.eye(1)  # transition of (arrived, lost), if losses are part of the mode
         self.shares: tuple[float, ...] = (1.0,)  # its stationary law
-        if faults is not None and faults.arrival == "unknown" and not judges(spec):
-            if faults.arrival_rate is not None:
-                self.rate = faults.arrival_rate
-            elif faults.channel is not None:
-                self.arrival = np.array(faults.channel.transition)[::-1, ::-1]
-                self.shares = faults.channel.initial[::-1]
-                modes = chain.times(faults.channel).modes
-        lumping = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
-        if faults is None:  # modes of jump faults are the user's: each has its part
-            lumped = chain.lumped(chain.alike("ABCDQcd"))
-            lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
-        elif spec.filter.option("gain", None) == "stationary" and faults.gain_needs_no_moments(
-            tested=judges(spec)
-        ):
-            lumping = chain.lumped((tuple(range(len(chain.modes))),))
+        self.channel: Channel | None = None  # the same where it depends on parameters
+        guesses = faults is not None and faults.arrival == "unknown" and not judges(spec)
+        channel = faults.channel if faults is not None and guesses else None
+        if faults is not None and channel is not None and faults.arrival_rate is not None:
+            self.rate = faults.arrival_rate
+        elif channel is not None:
+            self.arrival = np.array(channel.transition)[::-1, ::-1]
+            self.shares = channel.initial[::-1]
+            self.channel = channel if channel.law is not None else None
+            modes = chain.times(channel).modes
+        lumping = self._lumping()
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
         self.plants = mode_plants(spec, modes)  # of every mode, then of every mode without a signal
@@ -113,22 +112,43 @@ class AugmentedState:
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
         self.ones = bool(spec.model.nu) or any(p.c.nnz() or p.d.nnz() for p in self.plants)
         parameters = self.base.parameters
-        if faults is not None and faults.rate is not None and self.rate != 1.0:
+        if faults is not None and faults.rate is not None and guesses:
             self.rate = lift_expression(faults.rate, parameters)
         #: The chain of the modes where it depends on parameters; then no part is shared
         self.varying = None if chain.law is None else law_of(chain.law, parameters)
+        law = None if self.channel is None else self.channel.law
+        #: That of (arrived, lost)
+        self.arrivals = (
+            constant(self.arrival) if law is None else law_of(law, parameters)[::-1, ::-1]
+        )
         self.modes = len(self.groups)  # N
         self.parts = len(self.shares) * self.modes
         self.width = self.base.nx + int(self.ones)  # of a part
         inner = (self.parts - 1) * self.width
         self.size = inner + self.base.nx
         self.own = slice(inner, self.size)  # where x stands in the augmented state
-        constant_law = self.varying is None
-        self.settled = constant_law and is_settled(chain.initial, chain.transition)
-        #: A lock-out starts the filter again
-        self.restarts = judges(spec) and bool(spec.filter.options.reinitialise)
+        moving = (chain.law or chain.first) is not None
+        self.settled = not moving and is_settled(chain.initial, chain.transition)
         self.means = self.ones or self.restarts  # first moments of the parts are carried along
         self.T, self.E, self.e = (constant(each) for each in self._coordinates())
+
+    @property
+    def restarts(self) -> bool:
+        """Whether a lock-out starts the filter again."""
+        return judges(self.spec) and bool(self.spec.filter.options.reinitialise)
+
+    def _lumping(self) -> Lumping:
+        """The modes that share a part."""
+        faults = self.spec.faults.jump
+        lumping = self.chain.lumped(tuple((i,) for i in range(len(self.chain.modes))))
+        if faults is None:  # modes of jump faults are the user's: each has its part
+            lumped = self.chain.lumped(self.chain.alike("ABCDQcd"))
+            lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
+        elif self.spec.filter.option("gain", None) == "stationary" and faults.gain_needs_no_moments(
+            tested=judges(self.spec)
+        ):
+            lumping = self.chain.lumped((tuple(range(len(self.chain.modes))),))
+        return lumping
 
     def _coordinates(self) -> tuple[Array, Array, Array]:
         """T, E, e: the augmented state is T z for all parts z, and they are E times it plus e."""
@@ -142,6 +162,19 @@ class AugmentedState:
     def transition(self) -> Array:
         """Transition of the parts, where it is constant."""
         return np.asarray(np.kron(self.arrival, self.kernel))
+
+    @property
+    def moves(self) -> ca.SX:
+        """Transition of the parts."""
+        if self.varying is None and self.channel is None:
+            return constant(self.transition)
+        return ca.kron(self.arrivals, self.chances)
+
+    def arrived(self, symbols: dict[str, ca.SX], prefix: str) -> list[ca.SX]:
+        """Pr(arrived) and Pr(lost) as far as they are part of the mode."""
+        if self.channel is None:
+            return [ca.SX(share) for share in self.shares]
+        return ca.vertsplit(symbols[f"{prefix}arrival_law"])
 
     @property
     def chances(self) -> ca.SX:
@@ -176,6 +209,8 @@ def ports_of(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]:
     wanted = [
         (not known, "mode_law", law, "Pr(mode), unconditional, at k"),
         (not z.settled, "predicted_mode_law", law, "Pr(mode), unconditional, at k+1"),
+        (z.channel is not None, "arrival_law", (2,), "Pr(arrived) and Pr(lost), at k"),
+        (z.channel is not None, "predicted_arrival_law", (2,), "the same at k+1"),
         (True, "augmented_state", (size,), estimate),
         (True, "augmented_filtered_state", (size,), "the same at k given y[0..k]"),
         (covariances, "augmented_covariance", (size,) * 2, "error covariance of augmented_state"),
@@ -201,26 +236,34 @@ def ports_of(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]:
 
 def start_of(z: AugmentedState, ports: Sequence[Port], symbols: dict[str, ca.SX]) -> Phase:
     """The prior, shared out by the law of the mode: x has P, every part its share of it."""
-    given, law = prior_symbols(z.base), np.array(z.chain.initial)
+    given, parameters = prior_symbols(z.base), z.base.parameters
     builder, x, P = PhaseBuilder({**symbols, **given}), given["x"], unpack(given["P"], z.base.nx)
-    groups = np.array([law[list(group)].sum() for group in z.groups])
-    share, inner = np.kron(z.shares, groups)[:-1], z.own.start
+    law = first_law(builder, z.spec, z.chain, parameters)
+    shares = ca.SX(ca.DM(z.shares))
+    if z.channel is not None:
+        shares = first_law(builder, z.spec, z.channel, parameters, "first_arrival")[::-1]
+    groups = column([total([law[i] for i in group]) for group in z.groups])
+    share, inner = column(ca.vertsplit(ca.kron(shares, groups))[:-1]), z.own.start
     mean = ca.vertcat(x, 1)[: z.width]
     spread = ca.SX(z.width, z.width)
     spread[: x.numel(), : x.numel()] = P
     X = ca.SX(z.size, z.size)
     # 1{i} - share: covariance of the indicators; times the mean on both sides.
-    X[:inner, :inner] = ca.kron(constant(np.diag(share)), spread) + ca.kron(
-        constant(np.diag(share) - np.outer(share, share)), mean @ mean.T
-    )
-    X[z.own, :inner] = ca.kron(ca.SX(ca.DM(share)).T, spread[: x.numel(), :])
+    if inner:
+        X[:inner, :inner] = ca.kron(sparse(ca.diag(share)), spread) + ca.kron(
+            sparse(ca.diag(share) - share @ share.T), mean @ mean.T
+        )
+        X[z.own, :inner] = ca.kron(share.T, spread[: x.numel(), :])
     X[z.own, z.own] = P
     start = {
-        "augmented_state": ca.vertcat(ca.kron(ca.SX(ca.DM(share)), mean), x),
+        "augmented_state": ca.vertcat(ca.kron(share, mean), x) if inner else x,
         "augmented_covariance": pack(X),
-        "mode_second_moment": ca.kron(ca.SX(ca.DM(groups)), given["P"] + outer_lower(x, x)),
-        "mode_first_moment": ca.kron(ca.SX(ca.DM(groups)), x),
+        "mode_second_moment": ca.kron(groups, given["P"] + outer_lower(x, x)),
+        "mode_first_moment": ca.kron(groups, x),
+        "arrival_law": shares,
     }
+    if z.chain.first is not None:
+        start["mode_law"] = law
     of = {port.name: _stem(port) for port in ports}
     values = {name: start[stem] for name, stem in of.items() if stem in start}
     builder.assign(values)
@@ -327,6 +370,14 @@ def moved_means(
     return [ca.densify(mean) for mean in z.mixed(each)]
 
 
+def next_arrival(z: AugmentedState, shares: Sequence[ca.SX]) -> list[ca.SX]:
+    """Pr(arrived) and Pr(lost) one sample later."""
+    if z.channel is None:
+        return [*shares]
+    moved = z.arrivals.T @ column([*shares])
+    return ca.vertsplit(moved / ca.sum1(moved))
+
+
 def plant_noise(z: AugmentedState, plants: Sequence[Plant], law: ca.SX) -> list[ca.SX]:
     """sum_i p_ij pi_i Q_i: what the plant's own noise adds in the step to each mode."""
     P, modes = z.chances, range(z.modes)
@@ -334,14 +385,17 @@ def plant_noise(z: AugmentedState, plants: Sequence[Plant], law: ca.SX) -> list[
     return [shared(Q, [P[i, j] * law[i] for i in modes]) for j in modes]
 
 
-def augmented_noise(z: AugmentedState, moved: list[ca.SX], noise: list[ca.SX]) -> ca.SX:
-    """Covariance of the noise of the augmented state."""
+def augmented_noise(
+    z: AugmentedState, moved: list[ca.SX], noise: list[ca.SX], shares: Sequence[ca.SX]
+) -> ca.SX:
+    """Covariance of the noise of the augmented state; ``shares`` are of sample k."""
     inner, rest = z.own.start, ca.SX(z.width - z.base.nx, z.width - z.base.nx)
-    own = [ca.diagcat(share * each, rest) for share in z.shares for each in noise]
+    later = next_arrival(z, shares)
+    own = [ca.diagcat(share * each, rest) for share in later for each in noise]
     W = z.T @ ca.diagcat(*own) @ z.T.T
     W[z.own, z.own] = total(noise)
     jumps = ca.SX(inner, inner)
-    parts = [share * moment for share in z.shares for moment in moved]
+    parts = [share * moment for share in shares for moment in moved]
     for indicators, part in zip(_indicators(z), parts, strict=True):
         jumps += ca.kron(indicators, part)
     W[:inner, :inner] = jumps + W[:inner, :inner]
@@ -350,13 +404,12 @@ def augmented_noise(z: AugmentedState, moved: list[ca.SX], noise: list[ca.SX]) -
 
 def _indicators(z: AugmentedState) -> Iterator[ca.SX]:
     """Covariance of the indicators of the next part, given each part; without the last one."""
-    if z.varying is None:
+    if z.varying is None and z.channel is None:
         for p in z.transition[:, :-1]:
             yield constant(np.where(np.eye(len(p)), p * (1.0 - p), -np.outer(p, p)))
         return
-    P = ca.kron(constant(z.arrival), z.varying)
     for i in range(z.parts):
-        row = P[i, :-1].T
+        row = z.moves[i, :-1].T
         yield sparse(ca.diag(row) - row @ row.T)
 
 
@@ -383,10 +436,7 @@ def steps(z: AugmentedState, plants: Sequence[Plant], u: ca.SX) -> tuple[ca.SX, 
 def mixing(z: AugmentedState) -> tuple[ca.SX, ca.SX]:
     """Matrix and constant that make the next augmented state of (t, u)."""
     wide = constant(np.eye(z.width))
-    if z.varying is None:
-        through = z.T @ constant(np.kron(z.transition.T, np.eye(z.width)))
-    else:
-        through = z.T @ ca.kron(ca.kron(constant(z.arrival), z.varying).T, wide)
+    through = z.T @ ca.kron(z.moves.T, wide)
     M = through @ z.E
     M[z.own, :] = 0  # what the parts exchange does not change their sum, not even by rounding
     M[z.own, z.own] = ca.SX.eye(z.base.nx)
@@ -415,6 +465,8 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
             results["predicted_mode_first_moment"] = ca.vertcat(*first)
         if not z.settled:
             results["predicted_mode_law"] = law
+        if z.channel is not None:
+            results["predicted_arrival_law"] = column(next_arrival(z, z.arrived(symbols, "")))
     with builder.titled("every mode's step"):
         G, known = steps(z, plants, u)
         moved_state = builder.define("moved_state", G @ symbols["augmented_filtered_state"] + known)
@@ -424,7 +476,7 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
         M, known = mixing(z)
         state = M @ moved_state + known
         covariance = row_congruence(M, unpack(packed, z.size))
-        covariance += pack(augmented_noise(z, moved, noise))
+        covariance += pack(augmented_noise(z, moved, noise, z.arrived(symbols, "")))
     with builder.titled("prediction of the next sample"):
         results |= {"augmented_state": state, "augmented_covariance": covariance}
         results |= whole(z, state, covariance, "predicted")
@@ -463,7 +515,7 @@ def recursion_of(
     spec = z.spec
     ports = ports_of(z, covariances=form is not None)
     symbols = symbols_of(spec, z.base, ports)
-    laws = [port.name for port in ports if _stem(port) == "mode_law"]
+    laws = [port.name for port in ports if _stem(port) == "mode_law" and z.chain.first is None]
     return Recursion(
         spec=spec,
         source=source,
@@ -598,6 +650,8 @@ def unchanged(z: AugmentedState, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
     """What y[k] does not change: unconditional moments."""
     moments = ("mode_second_moment", "mode_first_moment")
     result = {name: symbols[f"predicted_{name}"] for name in moments if name in symbols}
+    if "arrival_law" in symbols:
+        result["arrival_law"] = symbols["predicted_arrival_law"]
     if "mode_law" in symbols:
         result["mode_law"] = z.law(symbols, "predicted_")
     if "state_second_moment" in symbols:

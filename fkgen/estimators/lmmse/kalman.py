@@ -28,7 +28,8 @@ from fkgen.estimators.gaussian.gate import (
     gate_ports,
     gate_results,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder

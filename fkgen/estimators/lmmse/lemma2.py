@@ -30,6 +30,7 @@ from fkgen.estimators.gaussian.estimate import (
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.jump import STATIONARY, is_settled
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
+from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
@@ -66,7 +67,7 @@ class UncertainFilter:
         self.stationary = (
             faults.moments is not None
             or faults.independent
-            or (faults.law is None and is_settled(faults.initial, faults.kernel))
+            or ((faults.law or faults.first) is None and is_settled(faults.initial, faults.kernel))
         )
         ports = *state_ports(spec), *innovation_ports(spec), *_ports(self.plant)
         self.ports = (*ports, *_law_ports(white=self.white, stationary=self.stationary))
@@ -81,8 +82,13 @@ class UncertainFilter:
             squares = [-x[i] * x[i] for i in range(self.plant.nx)]
             builder.demand(Kind.NONNEGATIVE, squares, Status.PARAMETER_OUT_OF_RANGE)
         results = {"predicted_state_second_moment": prior["P"] + outer_lower(x, x)}
-        if self.plant.nu:
+        if has_mean(self.plant):
             results["predicted_state_mean"] = x
+        if self.faults.first is not None:
+            chain, parameters = self.faults.chain(self.spec.model), self.plant.parameters
+            law = first_law(builder, self.spec, chain, parameters)
+            names = ("predicted_mode_law", "predicted_signal_law")
+            results |= {name: law for name in names if name in self.symbols}
         builder.assign(results)
         return builder.phase()
 
@@ -91,9 +97,9 @@ class UncertainFilter:
         n, law = self.plant.nx, self.faults.initial
         start = {
             "transition": tuple(np.eye(n).ravel().tolist()),
-            "predicted_mode_law": law,
-            "predicted_signal_law": law,
         }
+        if self.faults.first is None:
+            start |= {"predicted_mode_law": law, "predicted_signal_law": law}
         if self.stationary and not self.white:
             start["gamma_persistence"] = (float(self.gamma()),)
         return {port.name: start[port.name] for port in self.ports if port.name in start}

@@ -80,7 +80,8 @@ def stationary_of(z: AugmentedState) -> Stationary:
     builder, u, N = PhaseBuilder({}), ca.SX(z.base.nu, 1), z.modes
     now = stationary_moments(z)
     moved = jump.moved_moments(builder, z, z.plants, now, u)
-    W = _number(jump.augmented_noise(z, moved, jump.plant_noise(z, z.plants, now.law)))
+    noises = jump.plant_noise(z, z.plants, now.law)
+    W = _number(jump.augmented_noise(z, moved, noises, z.arrived({}, "")))
     F = _number(jump.mixing(z)[0] @ jump.steps(z, z.plants, u)[0])
     L = float(z.rate) * _number(jump.measured(z, z.plants, u)[0])
     weights = [now.law[i] for i in range(N)]

@@ -26,7 +26,8 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.merge import Chart, Gaussian, combined_innovation, mixture
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import whiten
+from fkgen.estimators.gaussian.decorrelation import are_many, whiten
 from fkgen.estimators.gaussian.estimate import off_by
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.weights import TINY
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.index import At, packed
 from fkgen.symbolic.lifting.equations import Lifted, box_minus, turned_by
 from fkgen.symbolic.linalg import (
     column,
@@ -120,11 +121,10 @@ def combined_innovation(
     for row in wraps:
         for each in predicted[1:]:
             each[row] = predicted[0][row] + reduced(each[row] - predicted[0][row])
-    mean = weighted_sum(held, predicted)
-    S = weighted_sum(held, [each.innovation_covariance for each in found])
-    S = builder.define("combined_variance", S + spread(*_distinct(held, predicted), mean))
+    S = _combined_variance(builder, held, [each.innovation_covariance for each in found], predicted)
     nu = ca.SX(weighted_sum(held, [f.innovation for f in found]))
     for row in wraps:
+        mean = weighted_sum(held, predicted)
         nu[row] = builder.local(f"combined_angle_{row}", 1, initial=0.0)
         with builder.if_present(row):
             builder.assign({f"combined_angle_{row}": reduced(y[row] - mean[row])})
@@ -132,6 +132,35 @@ def combined_innovation(
     whitened = None if len(found) == 1 else whiten(builder, S, nu, "_combined")
     nis = found[0].nis if whitened is None else whitened.quadratic(ca.SX(1))
     return {"innovation": nu, "innovation_covariance": S, "nis": nis}
+
+
+def _combined_variance(
+    builder: PhaseBuilder, held: ca.SX, covariances: list[ca.SX], predicted: list[ca.SX]
+) -> ca.SX:
+    """Covariance of a mixture of predictions of y, packed."""
+    weights, means = _distinct(held, predicted)
+    mean, size, p = weighted_sum(held, predicted), covariances[0].numel(), predicted[0].numel()
+    if len(covariances) == 1 or not are_many(size * (2 * len(covariances) + 3 * len(means))):
+        S = weighted_sum(held, covariances) + spread(weights, means, mean)
+        return builder.define("combined_variance", S)
+    S = builder.local("combined_variance", size)
+    names = [builder.array(f"variance_of_{m}", each) for m, each in enumerate(covariances)]
+    apart = [f"apart_{m}" for m in range(len(means))] if len(means) > 1 else []
+    for name, each in zip(apart, means, strict=False):
+        builder.local(name, p)
+        builder.assign({name: each - mean})
+    with builder.loop("i", 0, p) as i:
+        factors = [
+            builder.define(f"weighted_{name}", weights[m] * builder.at(name, i))
+            for m, name in enumerate(apart)
+        ]
+        with builder.loop("k", 0, i + 1) as k:
+            at = packed(i, k)
+            entry = weighted_sum(held, [builder.at(name, at) for name in names])
+            for factor, name in zip(factors, apart, strict=True):
+                entry += factor * builder.at(name, k)
+            builder.assign({At("combined_variance", at): entry})
+    return S
 
 
 def _distinct(weights: ca.SX, values: list[ca.SX]) -> tuple[ca.SX, list[ca.SX]]:

@@ -35,7 +35,8 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.merge import (
     Chart,
     Gaussian,
@@ -44,6 +45,7 @@ from fkgen.estimators.models.merge import (
     mixture,
     mixture_covariance,
 )
+from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import (
     Kernel,
     Prediction,
@@ -52,10 +54,10 @@ from fkgen.estimators.models.weights import (
     drawn_anew,
     log_prior,
     log_sum_exp,
+    logarithm_of,
     prior_of_sample,
     reweigh,
 )
-from fkgen.faults import JumpFaults
 from fkgen.faults.chain import ModeChain
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
@@ -173,7 +175,8 @@ class Modes:
         Unreachable modes reuse a reachable one so that their covariance cannot overflow.
         """
         constant = self.chain.law is None
-        possible = visited(self.kernel if constant else self.chain.possible, self.initial)
+        begun = self.initial if self.chain.first is None else self.chain.begun
+        possible = visited(self.kernel if constant else self.chain.possible, begun)
         first = int(np.argmax(possible))
         return tuple(j if seen else first for j, seen in enumerate(possible))
 
@@ -244,25 +247,46 @@ class Switching:
             merges_errors=merges_errors and bool(plants[0].attitudes),
         )
 
+    def start(self) -> Phase | None:
+        """The law of the mode at sample 0 where it depends on parameters, and what each mode has.
+
+        Under a mode 0, known, is in place of the states that it does not have.
+        """
+        chain, scalar, faults = self.modes.chain, self.spec.code.scalar, self.spec.faults.jump
+        given, values = prior_symbols(self.spec.model), dict[str, ca.SX]()
+        builder = PhaseBuilder({**self.symbols, **given})
+        if faults is not None and faults.unequal:
+            priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
+            states, covariances = (ca.vertcat(*each) for each in zip(*priors, strict=True))
+            values |= {"mode_state": states, "mode_covariance": covariances}
+        if chain.first is not None:
+            law = first_law(builder, self.spec, chain, self.plants[0].parameters)
+            logs = column([logarithm_of(each, scalar) for each in ca.vertsplit(law)])
+            of = {"mode_probability": law, "log_weight": logs}
+            values |= of | {f"predicted_{name}": value for name, value in of.items()}
+        if not values:
+            return None
+        builder.assign(values)
+        return builder.phase()
+
     def recursion(
         self,
         source: str,
         phases: tuple[Phase, Phase],
         *notes: str,
         repeats: tuple[tuple[int, ...], ...] | None = None,
-        start: Phase | None = None,
     ) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
             spec=self.spec,
             source=source,
             ports=self.ports,
+            start=self.start(),
             update=phases[0],
             predict=phases[1],
             form=self.form,
             notes=notes,
             repeats=repeats,
-            start=start,
         )
 
     def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
@@ -482,19 +506,7 @@ def interacting_models(spec: Spec) -> Recursion:
         notes.append(JUMPING)
     lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
     repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
-    faults = spec.faults.jump
-    start = _start(filtering, faults) if faults is not None and faults.unequal else None
-    return filtering.recursion(source, phases, *notes, repeats=repeats, start=start)
-
-
-def _start(filtering: Switching, faults: JumpFaults) -> Phase:
-    """The prior under each mode: 0, known, in place of the states that it does not have."""
-    given = prior_symbols(filtering.spec.model)
-    builder = PhaseBuilder({**filtering.symbols, **given})
-    priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
-    states, covariances = zip(*priors, strict=True)
-    builder.assign({"mode_state": ca.vertcat(*states), "mode_covariance": ca.vertcat(*covariances)})
-    return builder.phase()
+    return filtering.recursion(source, phases, *notes, repeats=repeats)
 
 
 def _of_states(prior: Gaussian, kept: tuple[int, ...] | None) -> Gaussian:

@@ -25,7 +25,8 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder

@@ -21,10 +21,10 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.decorrelation import Measurement, Row
 from fkgen.estimators.gaussian.estimate import bound, demand_finite, demand_positive, finite
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
+from fkgen.estimators.gaussian.rows import SequentialUpdate
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     Conditioned,
-    SequentialUpdate,
     condition,
 )
 from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows

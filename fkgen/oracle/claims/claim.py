@@ -29,6 +29,11 @@ class Record:
     #: equations are on trial here and not the digits that an extreme prior costs
     P0: Array
 
+    @property
+    def first(self) -> dict[str, float]:
+        """The parameters of sample 0."""
+        return {name: float(values[0]) for name, values in self.parameters.items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosedForm:

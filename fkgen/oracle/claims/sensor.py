@@ -75,7 +75,7 @@ def _enumerated(spec: Spec, record: Record) -> Ports | None:
 
 def _moment_tolerance(spec: Spec, record: Record) -> float:
     """C - V of the closed form cancels where the state is far larger than its error."""
-    x0 = spec.model.x0.values().ravel()
+    x0 = spec.model.x0.values(spec.defaults | record.first).ravel()
     R = np.diag(spec.model.R.values(spec.defaults))
     size = float(np.max(np.abs(spec.model.C.values(spec.defaults) @ x0)) ** 2)
     noise = float(R[R > 0.0].min()) if (R > 0.0).any() else 1.0
@@ -117,7 +117,7 @@ def lemma_2_holds(spec: Spec) -> bool:
     healthy = len(faults.rows) < spec.model.ny
     if faults.moments is not None:
         return not healthy or faults.moments.gamma_rate == faults.moments.gamma_persistence
-    if faults.law is not None:
+    if (faults.law or faults.first) is not None:
         return is_white(faults)
     law = SensorLaw.from_spec(spec)
     return satisfies_lemma_2(law.kernel, law.initial)[0] and (not healthy or is_white(faults))

@@ -121,7 +121,7 @@ class LinearSystem(Plant):
     ) -> Self:
         """Sample the plant of a spec; params (T,)."""
         samples, which = parameter_samples(spec, T, params)
-        model = spec.model
+        model, first = spec.model, first_sample(spec, params)
         plant = {
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
             for name in (*Plant.VARYING, "S")
@@ -130,8 +130,8 @@ class LinearSystem(Plant):
         rate, covariance = actuation_of(spec, T, params, rates)
         return cls(
             **plant,
-            x0=model.x0.values()[:, 0],
-            P0=model.P0.values(),
+            x0=model.x0.values(first)[:, 0],
+            P0=model.P0.values(first),
             rate=rate,
             fault_covariance=covariance,
         )
@@ -159,6 +159,12 @@ def parameter_samples(
     rows = [tuple(float(record[k]) for record in records) for k in range(T)]
     position = {row: index for index, row in enumerate(dict.fromkeys(rows))}
     return [dict(zip(given, row, strict=True)) for row in position], [position[row] for row in rows]
+
+
+def first_sample(spec: Spec, params: Mapping[str, Array | float] | None) -> dict[str, float]:
+    """All parameters as sample 0 has them."""
+    given = {**spec.defaults, **(params or {})}
+    return {name: float(np.ravel(value)[0]) for name, value in given.items()}
 
 
 def _fault_moments(

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.actuator import Plant, parameter_samples
+from fkgen.oracle.plants.actuator import Plant, first_sample, parameter_samples
 from fkgen.problem import Matrix, Spec, evaluate
+from fkgen.problem.probability import FirstLaw
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +32,7 @@ class JumpSystem(Plant):
     #: (T, N): Pr(j at k+1) as sample k has it, where sample k+1 has its own; None elsewhere
     announced: Array | None = None
     arrival_rates: Array | None = None  # (T,): Pr(gamma = 1) where it depends on the sample
+    arrivals: Array | None = None  # (T, 2, 2): arrival of each sample, where they differ
     kept: Array | None = None  # (N, n): 1 for the states that a mode has; None for all
 
     @property
@@ -48,6 +50,8 @@ class JumpSystem(Plant):
     @property
     def channel(self) -> Array:
         """Transition of gamma from each sample to the next, (T, 2, 2)."""
+        if self.arrivals is not None:
+            return self.arrivals
         if self.arrival_rates is None:
             return np.broadcast_to(self.arrival, (self.length, 2, 2))
         rates = np.append(self.arrival_rates[1:], self.arrival_rates[-1])
@@ -55,10 +59,10 @@ class JumpSystem(Plant):
 
     def over(self, piece: slice) -> Self:
         """The same plant over a piece of its samples, its prior unchanged."""
-        told, rates = (
-            None if each is None else each[piece] for each in (self.announced, self.arrival_rates)
-        )
-        return replace(super().over(piece), announced=told, arrival_rates=rates)
+        names = ("announced", "arrival_rates", "arrivals")
+        own = {name: getattr(self, name) for name in names}
+        cut: dict[str, Any] = {k: None if v is None else v[piece] for k, v in own.items()}
+        return replace(super().over(piece), **cut)
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u + d_i, (T, N, p)."""
@@ -85,7 +89,8 @@ class JumpSystem(Plant):
     def always_arriving(self) -> Self:
         """The same plant without losses."""
         always = np.array([[0.0, 1.0]] * 2)
-        return replace(self, arrival=always, arrival_initial=always[0], arrival_rates=None)
+        none: dict[str, Any] = {"arrival_rates": None, "arrivals": None}
+        return replace(self, arrival=always, arrival_initial=always[0], **none)
 
     @classmethod
     def from_spec(
@@ -107,19 +112,25 @@ class JumpSystem(Plant):
         rates = None
         if faults.rate is not None:
             rates = np.array([evaluate(faults.rate, at) for at in samples])[which]
+        moving, first = faults.arrivals, first_sample(spec, params)
         arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
+        arrivals = None
+        if moving is not None:
+            arrivals = np.array([moving.values(at) for at in samples])[which]
+            arrival = moving.values(first)
         start = lasting_law(arrival) if faults.arrival_chain else arrival[0]
         every = tuple(range(spec.model.nx))
         has = [every if mode.kept is None else mode.kept for mode in faults.modes]
         return cls(
             **plant,
             kept=np.array([[float(i in states) for i in every] for states in has]),
-            x0=spec.model.x0.values()[:, 0],
-            P0=spec.model.P0.values(),
+            x0=spec.model.x0.values(first)[:, 0],
+            P0=spec.model.P0.values(first),
             **chain_of(spec, T, params),
             arrival=arrival,
             arrival_initial=start if rates is None else np.array([1.0 - rates[0], rates[0]]),
             arrival_rates=rates,
+            arrivals=arrivals,
         )
 
 
@@ -132,8 +143,22 @@ def chain_of(
         raise DataError("faults.jump", given="nothing", expected="modes and their chain")
     chain = Matrix.of(faults.transition) if faults.law is None else faults.law
     samples, which = parameter_samples(spec, T, params)
-    transitions = np.array([chain.values(at) for at in samples])[which]
-    return {"transitions": transitions, "initial": np.array(faults.initial)}
+    first = samples[which[0]] if len(which) else dict(spec.defaults)
+    return {
+        "transitions": np.array([chain.values(at) for at in samples])[which],
+        "initial": initial_of(faults.initial, faults.first, chain, first),
+    }
+
+
+def initial_of(
+    stated: tuple[float, ...], first: FirstLaw | None, law: Matrix, at: Mapping[str, float]
+) -> Array:
+    """The law of the mode at sample 0, with the parameters of that sample."""
+    if first is None:
+        return np.array(stated)
+    if first.stated:
+        return np.array([evaluate(each, at) for each in first.stated])
+    return lasting_law(law.values(at))
 
 
 def lasting_law(transition: Array) -> Array:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.actuator import LinearSystem, parameter_samples
-from fkgen.oracle.plants.jump import JumpSystem, draw_chain, lasting_law
-from fkgen.problem import Spec, evaluate
+from fkgen.oracle.plants.actuator import LinearSystem, first_sample, parameter_samples
+from fkgen.oracle.plants.jump import JumpSystem, draw_chain, initial_of, lasting_law
+from fkgen.problem import Matrix, Spec, evaluate
 
 #: gamma of the four modes.
 GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
@@ -62,6 +62,11 @@ class SensorLaw:
         """The law over a record, with the parameters of each sample, (T,)."""
         law, faults = cls.from_spec(spec), spec.faults.sensor
         law = replace(law, factors=factors_of(spec, T, params))
+        if faults is not None and faults.first is not None:
+            at = first_sample(spec, params)
+            chain = faults.law or Matrix.of(faults.kernel)
+            own = initial_of(faults.initial, faults.first, chain, at)
+            law = replace(law, initial=own / own.sum())
         if faults is None or faults.law is None or not T:
             return law
         samples, which = parameter_samples(spec, T, params)

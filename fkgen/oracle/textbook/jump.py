@@ -29,7 +29,12 @@ def composite(system: JumpSystem) -> JumpSystem:
     return replace(
         system.always_arriving(),
         **twice,
-        transitions=np.array([np.kron(system.arrival[::-1, ::-1], P) for P in system.transitions]),
+        transitions=np.array(
+            [
+                np.kron(arrival[::-1, ::-1], P)
+                for arrival, P in zip(system.channel, system.transitions, strict=True)
+            ]
+        ),
         initial=np.asarray(np.kron([arrived, lost], system.initial), float),
     )
 

@@ -156,11 +156,13 @@ def read_start(section: Section, named: Named, x0: Matrix) -> tuple[Matrix, tupl
     """x0 with quaternions of unit length, and what is to be said about it."""
     remarks, rows, place = [], list(x0.rows), section.place.entry("x0")
     for name, at in named.attitudes.items():
-        q = np.array([evaluate(row[0], {}) for row in rows[at : at + 4]])
+        q = np.array([evaluate(row[0], section.defaults) for row in rows[at : at + 4]])
         length = float(np.sqrt(q @ q))
         if not abs(length - 1.0) <= UNIT_TOLERANCE:
             expected = f"a unit quaternion (w, x, y, z) for {name}, to within {UNIT_TOLERANCE:g}"
             raise place.item(at).error(f"four numbers of length {length:.6g}", expected)
+        if not all(isinstance(row[0], Number) for row in rows[at : at + 4]):
+            continue  # the start scales what parameters make of it
         if abs(length - 1.0) > 1e-12:
             message = f"x0 of {name} has length {length:.9g} and was normalised"
             remedy = "write all digits, or leave it"

@@ -39,7 +39,7 @@ class Footprint:
 def footprint(compiled: CompiledFilter) -> Footprint:
     """Measure a compiled filter."""
     layout, host = compiled.layout, find_compiler().command
-    fast = "-O2" if layout.flops <= LARGE else "-O1"
+    fast = "-O2" if layout.statements <= LARGE else "-O1"
     attempts = {
         "host -Os": ("size", *host, "-Os"),
         f"host {fast}": ("size", *host, fast),

@@ -85,8 +85,8 @@ def _cost(model: Subject) -> None:
     program = lower(family(model.spec.filter.family).build(model.spec))
     calls = sum(n for op, n in program.operations.items() if op.is_function)
     model.values |= {"flops_per_step": float(program.flops), "calls_per_step": float(calls)}
-    if program.flops > LARGE:
-        model.add("large_code", program.flops)
+    if program.statements > LARGE:
+        model.add("large_code", program.statements)
 
 
 def _functions(model: Subject, given: Mapping[str, Any]) -> None:

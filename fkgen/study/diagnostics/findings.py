@@ -179,8 +179,8 @@ note one_hypothesis: nis tests one hypothesis: after rejections its gate opens, 
 warning unused_parameter: nothing uses the parameter{plural} {names}
     -> take out of [parameters], or use in a matrix
 note time_varying: the model changes with its parameters; all figures are for {names}
-warning large_code: one step has {value} operations: as straight-line C that is a large file, slow
-    to compile and slow in the instruction cache
+warning large_code: one step has {value} operations in the text: a large file, slow to compile and
+    slow in the instruction cache
     -> zeros in A and C cost nothing: look for a basis with more of them
 """
 

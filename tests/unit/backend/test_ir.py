@@ -12,8 +12,10 @@ from fkgen.backend.ir import (
     Assign,
     Copy,
     Element,
+    For,
     IfPresent,
     Literal,
+    Local,
     Operate,
     Operator,
     Space,
@@ -23,6 +25,7 @@ from fkgen.backend.ir import (
 from fkgen.backend.lower import verify
 from fkgen.backend.printer import Printer
 from fkgen.errors import InternalError
+from fkgen.symbolic.index import packed, variable
 
 
 @pytest.fixture(scope="module")
@@ -134,3 +137,85 @@ def test_calls_are_counted_apart_from_operations():
     assert calls == {Operator.EXP, Operator.LOG} == program.functions
     total = sum(program.operations.values())
     assert program.flops == total - sum(program.operations[op] for op in calls)
+
+
+# ------------------------------------------------------------------------------------- loops
+
+I, J = variable("i"), variable("j")
+STORE = Element(Space.LOCAL, "store", I)
+
+
+def looped(program, body, *, index="i", begin=0, end=3, size=3):
+    """A program with one more local array, and a loop at the end of its update."""
+    longer = with_update(program, For(index, begin, end, tuple(body)))
+    local = Local("store", size, 0.0)
+    return replace(longer, update=replace(longer.update, locals=(*longer.update.locals, local)))
+
+
+def test_a_loop_over_an_array_is_well_formed(program):
+    verify(looped(program, [Assign(STORE, Literal(1.0))]))
+
+
+@pytest.mark.parametrize(
+    ("body", "options", "complaint"),
+    [
+        ([Assign(STORE, Literal(1.0))], {"end": 4}, "outside of its array"),
+        ([Assign(STORE, Literal(1.0))], {"begin": -1}, "outside of its array"),
+        ([Assign(STORE.shifted(1), Literal(1.0))], {}, "outside of its array"),
+        ([Assign(STORE, STORE.shifted(-1))], {}, "outside of its array"),
+        ([Assign(STORE, Literal(1.0))], {"index": "j"}, "no loop over i"),
+        ([Assign(STORE, Literal(1.0))], {"end": J}, "no loop over j"),
+        ([IfPresent(J, (Assign(STORE, Literal(1.0)),))], {}, "no loop over j"),
+        ([For("i", 0, 2, (Assign(STORE, Literal(1.0)),))], {}, "two loops over i"),
+        ([Assign(STORE, Element(Space.LOCAL, "nothing", I))], {}, "read before it is written"),
+        ([Assign(Element(Space.NEXT, "filtered_state", I), Literal(1.0))], {}, "written twice"),
+    ],
+)
+def test_a_loop_that_is_not_well_formed_is_refused(program, body, options, complaint):
+    with pytest.raises(InternalError, match=complaint):
+        verify(looped(program, body, **options))
+
+
+def test_a_temporary_stays_in_its_loop(program):
+    inside = Operate(fresh(program), Operator.NEG, (STORE,))
+    longer = looped(program, [inside, Assign(STORE, inside.target)])
+    verify(longer)
+    outside = Assign(STORE.shifted(-1 * I), inside.target)
+    with pytest.raises(InternalError, match="read outside its loop"):
+        verify(with_update(longer, outside))
+
+
+def test_operations_of_loops_count_as_often_as_they_run(program):
+    inner = For("j", 0, I + 1, (Operate(fresh(program), Operator.NEG, (STORE,)),))
+    longer = looped(program, [inner])
+    assert longer.flops == program.flops + 6
+    assert longer.statements == program.statements + 1
+
+
+def test_results_may_be_written_by_loops(program):
+    states = written(program, "filtered_state")
+    store = Assign(Element(Space.NEXT, "filtered_state", I), Literal(1.0))
+    shorter = with_update(program, without=states)
+    verify(looped(shorter, [store], end=len(states)))
+    with pytest.raises(InternalError, match="results never written"):
+        verify(looped(shorter, [store], end=len(states) - 1))
+
+
+@pytest.mark.parametrize(
+    ("index", "text"),
+    [
+        (I, "i"),
+        (3 * I + J - 2, "3 * i + j - 2"),
+        (packed(I, J), "i * (i + 1) / 2 + j"),
+        (packed(I + 1, J), "i + i * (i + 1) / 2 + j + 1"),
+        (5 - 1 * I, "5 - i"),
+    ],
+)
+def test_an_index_is_printed_as_it_counts(index, text):
+    assert sorted(str(index).split(" + ")) == sorted(text.split(" + "))
+    for i in range(4):
+        for j in range(4):
+            c = str(index).replace(" / ", " // ")
+            assert eval(c, {"i": i, "j": j}) == index.at({"i": i, "j": j})  # noqa: S307
+    assert I - I == 0
+    assert packed(I + 1, 0) - packed(I, 0) == I + 1

@@ -147,7 +147,7 @@ MATRICES: list[Case] = [
     ),
     (KF, {"model.R": ONES}, "model.R", "shape (2, 2)", "(1, 1): R is the covariance of the noise"),
     (KF, {"model.P0": [[1.0]]}, "model.P0", "shape (1, 1)", "(2, 2): P0 is the covariance"),
-    (KF, {"model.x0": [0.0]}, "model.x0", "1 entries", "2 numbers: the state has 2 components"),
+    (KF, {"model.x0": [0.0]}, "model.x0", "1 entries", "2 numbers or expressions: the state"),
     (KF, {"model.x0": 0.0}, "model.x0", "the float 0.0", "a list of 2 numbers"),
     (KF, {"model.x0": [[0.0, 0.0], 1.0]}, "model.x0[0]", "the list [0.0, 0.0]", "a finite number"),
     (KF, {"model.x0": [0.0, NAN]}, "model.x0[1]", "nan", "a finite number"),
@@ -167,8 +167,7 @@ MATRICES: list[Case] = [
     (KF, {A: [[1, "log(-tau)"], [0, 1]]}, "model.A[0][1]", "log(-tau)", "log(-0.05) is not a real"),
     (KF, {A: [[1, "sqrt(-tau)"], [0, 1]]}, "model.A[0][1]", "sqrt", "sqrt(-0.05) is not a real"),
     (KF, {A: [[1, "exp(1e5*tau)"], [0, 1]]}, "model.A[0][1]", "exp", "exp(5000.0) is too large"),
-    (KF, {"model.x0": ["tau", 0.0]}, "model.x0", "depends on tau", "constants"),
-    (KF, {"model.P0": [["tau", 0], [0, 1]]}, "model.P0", "depends on tau", "constants"),
+    (KF, {"model.x0": ["tau0", 0.0]}, "model.x0[0]", "'tau0'", "only parameters"),
     (
         KF,
         {"model.Q": [[1, 0.5], [0.4, 1]]},

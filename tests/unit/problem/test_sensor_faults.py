@@ -11,6 +11,8 @@ from refusals import INF, KF, MKF, NAN, REMOVED, Case, changed, check, refusal
 
 from fkgen.problem import Spec
 
+#: The identity where tau is 1.
+STAYING = [[1, 0, 0, 0], ["1 - tau", "tau", 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 KERNEL = [[0.7, 0.1, 0.1, 0.1], [0.2, 0.6, 0.1, 0.1], [0.1, 0.1, 0.7, 0.1], [0.1, 0.2, 0.3, 0.4]]
 IDENTITY = np.eye(4).tolist()
 MODEL: dict[str, Any] = {
@@ -153,8 +155,8 @@ PROBABILITIES: list[Case] = [
     (TWO, {JOINT: [0.8, 0.3, -0.1, 0.0]}, f"{JOINT}[2]", "-0.1", "a probability in [0, 1]"),
     (TWO, {JOINT: [1.0, [0], 0, 0]}, f"{JOINT}[1]", "the list [0]", "a probability in [0, 1]"),
     (TWO, {JOINT: ["tau", 0.3, 0, 0], TAU: 0.5}, JOINT, "sum to 0.8 at the", "a sum of 1"),
-    (FOUR, {K: [["tau", "1-tau", 0, 0]] * 4, TAU: 0.5}, INITIAL, "nothing", "numbers: the start"),
-    (ONE, {INITIAL: ["tau", "1-tau", 0, 0], TAU: 0.5}, INITIAL, "depend on parameters", "numbers"),
+    (FOUR, {K: STAYING, TAU: 1.0}, INITIAL, "several stationary laws at the", "4 probabilities"),
+    (ONE, {INITIAL: ["tau", 0.3, 0, 0], TAU: 0.5}, INITIAL, "sum to 0.8 at the", "a sum of 1"),
     (THREE, {GAMMA: REMOVED}, GAMMA, "missing", "a 2 x 2 matrix, states ordered (0, 1)"),
     (THREE, {DELTA: REMOVED}, DELTA, "missing", "a 2 x 2 matrix, states ordered (1, C)"),
     (THREE, {GAMMA: 0.9}, GAMMA, "the float 0.9", "states ordered (0, 1), rows that sum to 1"),

@@ -70,7 +70,7 @@ def test_flags_of_the_variable_come_last_and_make_another_filter(
     monkeypatch.setenv("FKGEN_CFLAGS", "-O0 -g")
     assert find_compiler().identity != before
     with pytest.raises(CompilerError):
-        compile_shared(find_compiler(), source, tmp_path / "filter.so", flops=1)
+        compile_shared(find_compiler(), source, tmp_path / "filter.so", statements=1)
     words = log.read_text().split()
     assert words.index("-O2") < words.index("-O0") < words.index("-g")
 
@@ -131,19 +131,19 @@ def test_the_first_error_of_a_compiler_is_in_the_message(path, source, tmp_path)
         path, "cc", "echo 'note: x' >&2; echo 'plant.c:1: error: no luck' >&2; exit 1"
     )
     with pytest.raises(CompilerError, match=r"refused plant.c: plant.c:1: error: no luck"):
-        compile_shared(Compiler((failing,), ""), source, tmp_path / "filter.so", flops=1)
+        compile_shared(Compiler((failing,), ""), source, tmp_path / "filter.so", statements=1)
 
 
 def test_a_compiler_that_fails_in_silence_is_an_error_with_its_status(path, source, tmp_path):
     failing = program(path, "cc", "exit 3")
     with pytest.raises(CompilerError, match="exit status 3"):
-        compile_shared(Compiler((failing,), ""), source, tmp_path / "filter.so", flops=1)
+        compile_shared(Compiler((failing,), ""), source, tmp_path / "filter.so", statements=1)
 
 
 def test_a_compiler_that_writes_nothing_is_an_error(path, source, tmp_path):
     lazy = program(path, "cc", "exit 0")
     with pytest.raises(CompilerError, match=r"refused plant.c"):
-        compile_shared(Compiler((lazy,), ""), source, tmp_path / "filter.so", flops=1)
+        compile_shared(Compiler((lazy,), ""), source, tmp_path / "filter.so", statements=1)
 
 
 def test_a_compiler_that_cannot_be_run_is_an_error(path, source, tmp_path):
@@ -151,7 +151,7 @@ def test_a_compiler_that_cannot_be_run_is_an_error(path, source, tmp_path):
     broken.write_bytes(b"\x00not a program")
     broken.chmod(0o755)
     with pytest.raises(CompilerError, match="cannot be run"):
-        compile_shared(Compiler((str(broken),), ""), source, tmp_path / "filter.so", flops=1)
+        compile_shared(Compiler((str(broken),), ""), source, tmp_path / "filter.so", statements=1)
 
 
 def test_a_compiler_that_does_not_come_back_is_an_error(path, source, tmp_path, monkeypatch):
@@ -159,15 +159,19 @@ def test_a_compiler_that_does_not_come_back_is_an_error(path, source, tmp_path, 
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     slow = program(path, "cc", "exec sleep 30")
     with pytest.raises(CompilerError, match=r"cannot be run: .*timed out"):
-        compile_shared(Compiler((slow,), ""), source, tmp_path / "filter.so", flops=1)
+        compile_shared(Compiler((slow,), ""), source, tmp_path / "filter.so", statements=1)
 
 
-@pytest.mark.parametrize(("flops", "level"), [(10, "-O2"), (compiler.LARGE + 1, "-O1")])
-def test_flags_keep_the_bits_and_hide_what_is_not_exported(path, source, tmp_path, flops, level):
+@pytest.mark.parametrize(("statements", "level"), [(10, "-O2"), (compiler.LARGE + 1, "-O1")])
+def test_flags_keep_the_bits_and_hide_what_is_not_exported(
+    path, source, tmp_path, statements, level
+):
     log = tmp_path / "log"
     noting = program(path, "cc", f'echo "$@" > {log}; exit 1')
     with pytest.raises(CompilerError):
-        compile_shared(Compiler((noting, "-m64"), ""), source, tmp_path / "filter.so", flops=flops)
+        compile_shared(
+            Compiler((noting, "-m64"), ""), source, tmp_path / "filter.so", statements=statements
+        )
     words = log.read_text().split()
     assert words[0] == "-m64"
     assert {"-ffp-contract=off", "-fvisibility=hidden", "-std=c99", level} <= set(words)
