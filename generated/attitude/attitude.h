@@ -4,6 +4,7 @@
  * generate again.
  * Equations: Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8).
  * Covariance update: short form.
+ * Form of the code: loops over rows of y, straight lines elsewhere.
  * Modes: 0 = the model; 1 = with its own Q; 2 = with its own R.
  * The mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k).
  *
@@ -72,20 +73,18 @@
  *   w: s_z ~ (0, 4e-06)
  *   Q = diag(1.15e-07, 1.15e-07, 1.15e-07, 1.57e-09, 1.57e-09, 1.57e-09, 1.68e-06, 1.68e-06,
  *          1.68e-06, 9.45e-07, 9.45e-07, 9.45e-07)
- *       [-, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] squared
  *   R = diag(0.0952, 0.0952, 0.0952, 15.21, 15.21, 15.21, 1.22e-05, 1.22e-05, 1.22e-05)
  *       [m/s, m/s, m/s, uT, uT, uT, rad/s, rad/s, rad/s] squared
  *   x0 = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
- *        [-, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
+ *        [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
  *   P0 = diag(1.0, 1.0, 1.0, 1.22e-05, 1.22e-05, 1.22e-05, 0.01, 0.01, 0.01, 0.0225, 0.0225,
- *           0.0225)   [-, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] squared
+ *           0.0225)
  *
  * Mode 0: the model itself.
  *
  * Mode 1: what differs.
  *   Q = diag(1.15e-07, 1.15e-07, 1.15e-07, 1.57e-09, 1.57e-09, 1.57e-09, 1.68e-06, 1.68e-06,
  *          1.68e-06, 1050.0, 1050.0, 1050.0)
- *       [-, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] squared
  *
  * Mode 2: what differs.
  *   R = diag(0.0952, 0.0952, 0.0952, 81.0, 81.0, 81.0, 1.22e-05, 1.22e-05, 1.22e-05)
@@ -131,12 +130,26 @@
  *   y[6]  rest_x, rad/s
  *   y[7]  rest_y, rad/s
  *   y[8]  rest_z, rad/s
+ * Rows of covariances of x; of an attitude the angles about the axes of the body by which it is
+ * off:
+ *   0  q[x], rad
+ *   1  q[y], rad
+ *   2  q[z], rad
+ *   3  bias_x, rad/s
+ *   4  bias_y, rad/s
+ *   5  bias_z, rad/s
+ *   6  v_e, m/s
+ *   7  v_n, m/s
+ *   8  v_u, m/s
+ *   9  m_x, uT
+ *   10  m_y, uT
+ *   11  m_z, uT
  *
- * Cost of one step with every row present: 22092 floating-point operations and 6 atan2 and 28 cos
- * and 3 exp and 13 log and 28 sin and 50 sqrt.
+ * Cost of one step with every row present: 20376 floating-point operations and 6 atan2 and 17 cos
+ * and 3 exp and 13 log and 17 sin and 23 sqrt.
  * An instance is 797 doubles, 6376 bytes; nothing else is kept. Tables of constants: 784 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 73840 bytes at -O0, 44640 at -Os.
+ * Stack of one call, interrupts left out: at most 72512 bytes at -O0, 44992 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -174,8 +187,10 @@ typedef enum
     ATTITUDE_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     ATTITUDE_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                         target */
-    ATTITUDE_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                   predict first */
+    ATTITUDE_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                    predict first */
+    ATTITUDE_NOT_A_ROTATION = -8 /**< a quaternion to start from is not of unit length, to within
+                                      1e-3 */
 } attitude_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -191,14 +206,10 @@ typedef struct
 {
     double predicted_state[13]; /**< x(k+1|k): mean of the next state given y[0..k],
                                      [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
-    double predicted_covariance[78]; /**< P(k+1|k): its error covariance (symmetric 12 x 12),
-                                          [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
-                                          squared */
+    double predicted_covariance[78]; /**< P(k+1|k): its error covariance (symmetric 12 x 12) */
     double filtered_state[13]; /**< x(k|k): mean of the state given y[0..k],
                                     [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
-    double filtered_covariance[78]; /**< P(k|k): its error covariance (symmetric 12 x 12),
-                                         [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
-                                         squared */
+    double filtered_covariance[78]; /**< P(k|k): its error covariance (symmetric 12 x 12) */
     double innovation[9]; /**< y[k] minus its prediction; 0 where the row is missing,
                                [m/s, m/s, m/s, uT, uT, uT, rad/s, rad/s, rad/s] */
     double innovation_covariance[45]; /**< its covariance, of all rows, present or not
@@ -213,14 +224,10 @@ typedef struct
     double predicted_log_weight[3]; /**< logarithm of predicted_mode_probability */
     double mode_state[39]; /**< x(k+1|k), mixed, under each mode (3 x 13),
                                 [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
-    double mode_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12),
-                                      [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
-                                      squared */
+    double mode_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12) */
     double mode_filtered_state[39]; /**< x(k|k) under each mode (3 x 13),
                                          [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
-    double mode_filtered_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12),
-                                               [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
-                                               squared */
+    double mode_filtered_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } attitude_t;
 
@@ -229,7 +236,8 @@ typedef struct
 attitude_status_t attitude_init(attitude_t *self);
 
 /** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
- *  @param x       mean of the state
+ *  @param x       mean of the state; a quaternion within 1e-3 of unit length is scaled to it, with
+ *    w >= 0
  *  @param P       its covariance, lower triangle by rows
  *  @return ATTITUDE_OK, or negative: refused, the instance is unchanged.
  */

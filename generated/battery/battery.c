@@ -412,7 +412,7 @@ BATTERY_INLINE battery_status_t battery_mode(const double *y, const double *mode
     return BATTERY_OK;
 }
 
-/* part 2; mixing and prediction 3. */
+/* part 2; mixing and prediction 2. */
 BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
@@ -611,35 +611,7 @@ BATTERY_INLINE battery_status_t battery_part_4(const battery_params_t *params)
     return BATTERY_OK;
 }
 
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_2(const double *moved, double *moved_state,
-    const double *mixed_0_3_mean, const double *mixed_0_3_covariance, const double *Q,
-    double *moved_covariance)
-{
-    moved_state[0] = moved[0];
-    moved_state[1] = moved[1];
-    moved_state[2] = mixed_0_3_mean[0];
-    moved_state[3] = mixed_0_3_mean[1];
-    const double t0 = mixed_0_3_covariance[0] + (moved[3] * mixed_0_3_covariance[3]);
-    const double t1 = (mixed_0_3_covariance[3] + (moved[3] * mixed_0_3_covariance[5])) * moved[3];
-    moved_covariance[0] = t0 + t1 + Q[0];
-    const double t2 = (moved[2] * mixed_0_3_covariance[1]) + (moved[4] * mixed_0_3_covariance[3]);
-    const double t3 = (moved[2] * mixed_0_3_covariance[4]) + (moved[4] * mixed_0_3_covariance[5]);
-    moved_covariance[1] = t2 + (t3 * moved[3]);
-    const double t4 = (moved[2] * mixed_0_3_covariance[2]) + (moved[4] * mixed_0_3_covariance[4]);
-    moved_covariance[2] = (t4 * moved[2]) + (t3 * moved[4]) + Q[1];
-    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[5] * moved[3]);
-    const double t5 = mixed_0_3_covariance[4] * moved[2];
-    moved_covariance[4] = t5 + (mixed_0_3_covariance[5] * moved[4]);
-    moved_covariance[5] = mixed_0_3_covariance[5] + Q[2];
-    moved_covariance[6] = mixed_0_3_covariance[6] + (mixed_0_3_covariance[8] * moved[3]);
-    const double t6 = mixed_0_3_covariance[7] * moved[2];
-    moved_covariance[7] = t6 + (mixed_0_3_covariance[8] * moved[4]);
-    moved_covariance[9] = mixed_0_3_covariance[9] + Q[3];
-    moved_covariance[8] = mixed_0_3_covariance[8];
-}
-
-/* mixing and prediction of every mode; mixing and prediction 3. */
+/* mixing and prediction of every mode; mixing and prediction 2. */
 BATTERY_INLINE void battery_mixing_and_prediction_4(const double *path_share,
     const double path_share_inverse, double *mixed_share)
 {
@@ -651,7 +623,7 @@ BATTERY_INLINE void battery_mixing_and_prediction_4(const double *path_share,
 }
 
 /* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_3(const double *path_share_0,
+BATTERY_INLINE void battery_mixing_and_prediction_2(const double *path_share_0,
     const double path_share_inverse_0, const double *mode_filtered_state,
     double *mixed_apart_squared, double *mixed_0_mean, const double *mode_filtered_covariance,
     double *mixed_0_covariance)
@@ -697,6 +669,33 @@ BATTERY_INLINE void battery_law_of_the_next(const double *mode_probability, cons
     path_share[3] = battery_exp(log_path[3] - log_path_largest[0]);
     path_share_total[0] = path_share[0] + path_share[1] + path_share[2] + path_share[3];
     path_share_inverse[0] = 1.0 / path_share_total[0];
+}
+
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_3(const double *moved, double *moved_state,
+    const double *mixed_0_3_mean, const double *mixed_0_3_covariance, const double *Q,
+    double *moved_covariance)
+{
+    moved_state[0] = moved[0];
+    moved_state[1] = moved[1];
+    moved_state[2] = mixed_0_3_mean[0];
+    moved_state[3] = mixed_0_3_mean[1];
+    const double t0 = mixed_0_3_covariance[0] + (moved[3] * mixed_0_3_covariance[3]);
+    const double t1 = mixed_0_3_covariance[3] + (moved[3] * mixed_0_3_covariance[5]);
+    moved_covariance[0] = t0 + (t1 * moved[3]) + Q[0];
+    const double t2 = (moved[2] * mixed_0_3_covariance[1]) + (moved[4] * mixed_0_3_covariance[3]);
+    const double t3 = (moved[2] * mixed_0_3_covariance[4]) + (moved[4] * mixed_0_3_covariance[5]);
+    moved_covariance[1] = t2 + (t3 * moved[3]);
+    const double t4 = (moved[2] * mixed_0_3_covariance[2]) + (moved[4] * mixed_0_3_covariance[4]);
+    moved_covariance[2] = (t4 * moved[2]) + (t3 * moved[4]) + Q[1];
+    moved_covariance[5] = mixed_0_3_covariance[5] + Q[2];
+    moved_covariance[6] = mixed_0_3_covariance[6] + (moved[3] * mixed_0_3_covariance[8]);
+    const double t5 = moved[2] * mixed_0_3_covariance[7];
+    moved_covariance[7] = t5 + (moved[4] * mixed_0_3_covariance[8]);
+    moved_covariance[9] = mixed_0_3_covariance[9] + Q[3];
+    moved_covariance[3] = t1;
+    moved_covariance[4] = t3;
+    moved_covariance[8] = mixed_0_3_covariance[8];
 }
 
 /* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 1: innovation, row by
@@ -1989,10 +1988,10 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     mixed_0_0_3_share[0] = t8 + (path_share_0[1] * path_share_inverse_0);
     const double t9 = path_share_0[2] * path_share_inverse_0;
     mixed_0_0_3_share[1] = t9 + (path_share_0[3] * path_share_inverse_0);
-    battery_mixing_and_prediction_3(path_share_0, path_share_inverse_0, self->mode_filtered_state,
+    battery_mixing_and_prediction_2(path_share_0, path_share_inverse_0, self->mode_filtered_state,
         mixed_apart_0_1_squared, mixed_0_0_1_mean, self->mode_filtered_covariance,
         mixed_0_0_1_covariance);
-    battery_mixing_and_prediction_3(&path_share_0[2], path_share_inverse_0,
+    battery_mixing_and_prediction_2(&path_share_0[2], path_share_inverse_0,
         &self->mode_filtered_state[8], mixed_apart_2_3_squared, mixed_0_2_3_mean,
         &self->mode_filtered_covariance[20], mixed_0_2_3_covariance);
     battery_part_3(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share, mixed_0_0_3_mean,
@@ -2002,7 +2001,7 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     battery_mixing_and_prediction_5(mixed_0_0_3_mean, moved_0, params);
 
     /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_2(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
+    battery_mixing_and_prediction_3(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
         mixed_0_0_3_covariance, Q, moved_covariance_0);
     const double t10 = path_share_2[0] * path_share_inverse_2;
     mixed_1_0_3_share[0] = t10 + (path_share_2[1] * path_share_inverse_2);
@@ -2022,7 +2021,7 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     battery_mixing_and_prediction_5(mixed_1_0_3_mean, moved_1, params);
 
     /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_2(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
+    battery_mixing_and_prediction_3(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
         mixed_1_0_3_covariance, Q, moved_covariance_1);
 
     /* combined prediction */

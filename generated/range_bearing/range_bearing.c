@@ -425,12 +425,12 @@ RANGE_BEARING_INLINE void range_bearing_copy(const double *from, double *to, int
 
 /* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 1600: innovation, row by
  * row; mode 0: signal, R: innovation, row by row. */
-RANGE_BEARING_INLINE void range_bearing_mode_3(const double y, const double seen,
+RANGE_BEARING_INLINE void range_bearing_mode_3(const double *y, const double seen,
     double *innovation, int row_0)
 {
     if (row_0 != 0)
     {
-        const double t0 = y - seen;
+        const double t0 = y[0] - seen;
         const double t1 = 6.283185307179586 * range_bearing_floor(0.5 - (0.15915494309189535 * t0));
         innovation[0] = t0 + t1;
     }
@@ -468,8 +468,8 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode(const double *y, 
     {
         innovation_0[0] = y[0] - seen[0];
     }
-    range_bearing_mode_3(y[1], seen[1], &innovation_1, ((present & 0x2u) != 0u));
-    range_bearing_mode_3(y[2], mode_state[2], &innovation_2, ((present & 0x4u) != 0u));
+    range_bearing_mode_3(&y[1], seen[1], &innovation_1, ((present & 0x2u) != 0u));
+    range_bearing_mode_3(&y[2], mode_state[2], &innovation_2, ((present & 0x4u) != 0u));
 
     /* mode 0: signal, R */
     range_bearing_copy(mode_state, mean, 3);
@@ -479,7 +479,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode(const double *y, 
     cross_0[0] = (mode_covariance[0] * seen[2]) + (mode_covariance[1] * seen[4]);
     cross_0[1] = (mode_covariance[1] * seen[2]) + (mode_covariance[2] * seen[4]);
     cross_0[2] = (mode_covariance[3] * seen[2]) + (mode_covariance[4] * seen[4]);
-    coupling_0[0] = ((seen[3] * cross_0[0]) + (seen[5] * cross_0[1])) - cross_0[2];
+    coupling_0[0] = ((seen[5] * cross_0[1]) - (seen[3] * cross_0[0])) - cross_0[2];
     coupling_0[1] = cross_0[2];
     pivot_0[0] = (seen[2] * cross_0[0]) + (seen[4] * cross_0[1]) + numbers[0];
     if ((present & 0x1u) != 0u)
@@ -507,11 +507,11 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode(const double *y, 
     }
 
     /* mode 0: signal, R: row 1 of y, bearing */
-    cross_1[0] = ((covariance[0] * seen[3]) + (covariance[1] * seen[5])) - covariance[3];
-    cross_1[1] = ((covariance[1] * seen[3]) + (covariance[2] * seen[5])) - covariance[4];
-    cross_1[2] = ((covariance[3] * seen[3]) + (covariance[4] * seen[5])) - covariance[5];
+    cross_1[0] = ((covariance[1] * seen[5]) - (covariance[0] * seen[3])) - covariance[3];
+    cross_1[1] = ((covariance[2] * seen[5]) - (covariance[1] * seen[3])) - covariance[4];
+    cross_1[2] = ((covariance[4] * seen[5]) - (covariance[3] * seen[3])) - covariance[5];
     coupling_1[0] = cross_1[2];
-    pivot_1[0] = (((seen[3] * cross_1[0]) + (seen[5] * cross_1[1])) - cross_1[2]) + 0.0004;
+    pivot_1[0] = (((seen[5] * cross_1[1]) - (seen[3] * cross_1[0])) - cross_1[2]) + 0.0004;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_1[0] > 0.0)) { return RANGE_BEARING_NOT_POSITIVE_DEFINITE; }
@@ -592,14 +592,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_2(const double in
     }
 
     /* mode 2: no signal, R: row 1 of y, bearing */
-    const double t0 = (mode_covariance[0] * seen[0]) + (mode_covariance[1] * seen[1]);
+    const double t0 = (mode_covariance[1] * seen[1]) - (mode_covariance[0] * seen[0]);
     cross_1[0] = t0 - mode_covariance[3];
-    const double t1 = (mode_covariance[1] * seen[0]) + (mode_covariance[2] * seen[1]);
+    const double t1 = (mode_covariance[2] * seen[1]) - (mode_covariance[1] * seen[0]);
     cross_1[1] = t1 - mode_covariance[4];
-    const double t2 = (mode_covariance[3] * seen[0]) + (mode_covariance[4] * seen[1]);
+    const double t2 = (mode_covariance[4] * seen[1]) - (mode_covariance[3] * seen[0]);
     cross_1[2] = t2 - mode_covariance[5];
     coupling_1[0] = cross_1[2];
-    pivot_1[0] = (((seen[0] * cross_1[0]) + (seen[1] * cross_1[1])) - cross_1[2]) + 0.0004;
+    pivot_1[0] = (((seen[1] * cross_1[1]) - (seen[0] * cross_1[0])) - cross_1[2]) + 0.0004;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_1[0] > 0.0)) { return RANGE_BEARING_NOT_POSITIVE_DEFINITE; }
@@ -665,7 +665,7 @@ RANGE_BEARING_INLINE void range_bearing_part_8(const double *mixed_1_2_3_share,
 RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_1_mean,
     const double *combined_2_3_mean, const double *combined_0_3_share,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
-    double *combined_0_3_covariance, const double *mean_m0, double *corrected)
+    double *combined_0_3_covariance, const double *mean_m0, double *turn)
 {
     double combined_0_3_apart[3];
     double combined_0_3_mean[3];
@@ -697,9 +697,9 @@ RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_1_mean,
     const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
     combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
     range_bearing_copy(combined_0_3_mean, mean, 3);
-    corrected[0] = mean_m0[0] + mean[0];
-    corrected[1] = mean_m0[1] + mean[1];
-    corrected[2] = mean_m0[2] + mean[2];
+    turn[0] = mean_m0[0] + mean[0];
+    turn[1] = mean_m0[1] + mean[1];
+    turn[2] = mean_m0[2] + mean[2];
 }
 
 /* mixing and prediction of every mode. */
@@ -772,30 +772,10 @@ RANGE_BEARING_INLINE void range_bearing_part_4(const double *errors_1, double *a
     combined_0_1_mean[2] = combined_0_1_share * errors_1[2];
 }
 
-/* mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *moved,
-    double *moved_state, const double *mixed_0_3_covariance, double *moved_covariance)
-{
-    range_bearing_copy(moved, moved_state, 3);
-    const double t0 = mixed_0_3_covariance[0] + (moved[3] * mixed_0_3_covariance[3]);
-    const double t1 = (mixed_0_3_covariance[3] + (moved[3] * mixed_0_3_covariance[5])) * moved[3];
-    moved_covariance[0] = t0 + t1 + (0.010000000000000002 * moved[7] * moved[7]);
-    const double t2 = mixed_0_3_covariance[1] + (moved[4] * mixed_0_3_covariance[3]);
-    const double t3 = mixed_0_3_covariance[4] + (moved[4] * mixed_0_3_covariance[5]);
-    const double t4 = t2 + (t3 * moved[3]);
-    const double t5 = 0.010000000000000002 * moved[8];
-    moved_covariance[1] = t4 + (t5 * moved[7]);
-    const double t6 = mixed_0_3_covariance[2] + (moved[4] * mixed_0_3_covariance[4]);
-    moved_covariance[2] = t6 + (t3 * moved[4]) + (t5 * moved[8]);
-    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[5] * moved[3]);
-    moved_covariance[4] = mixed_0_3_covariance[4] + (mixed_0_3_covariance[5] * moved[4]);
-    moved_covariance[5] = mixed_0_3_covariance[5] + 2.5000000000000008e-05;
-}
-
 /* innovation of the mixture. */
 RANGE_BEARING_INLINE void range_bearing_innovation_of_the_mixture(const double
     *predicted_mode_probability, const double predicted_y_m0, const double predicted_y_m1,
-    const double predicted_y_m2, const double predicted_y_m3, const double y,
+    const double predicted_y_m2, const double predicted_y_m3, const double *y,
     double *combined_angle, int row_0)
 {
     if (row_0 != 0)
@@ -811,7 +791,7 @@ RANGE_BEARING_INLINE void range_bearing_innovation_of_the_mixture(const double
         const double t8 = predicted_y_m3 - predicted_y_m0;
         const double t9 = range_bearing_floor(0.5 - (0.15915494309189535 * t8));
         const double t10 = predicted_y_m0 + (t8 + (6.283185307179586 * t9));
-        const double t11 = y - (t7 + (predicted_mode_probability[3] * t10));
+        const double t11 = y[0] - (t7 + (predicted_mode_probability[3] * t10));
         const double t12 = range_bearing_floor(0.5 - (0.15915494309189535 * t11));
         combined_angle[0] = t11 + (6.283185307179586 * t12);
     }
@@ -840,6 +820,26 @@ RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *com
     range_bearing_part_8(combined_2_3_share, errors_2, errors_3, combined_2_3_mean);
 }
 
+/* mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *moved,
+    double *moved_state, const double *mixed_0_3_covariance, double *moved_covariance)
+{
+    range_bearing_copy(moved, moved_state, 3);
+    const double t0 = mixed_0_3_covariance[0] - (moved[3] * mixed_0_3_covariance[3]);
+    const double t1 = mixed_0_3_covariance[3] - (moved[3] * mixed_0_3_covariance[5]);
+    moved_covariance[0] = (t0 - (t1 * moved[3])) + (0.010000000000000002 * moved[7] * moved[7]);
+    const double t2 = mixed_0_3_covariance[1] + (moved[4] * mixed_0_3_covariance[3]);
+    const double t3 = mixed_0_3_covariance[4] + (moved[4] * mixed_0_3_covariance[5]);
+    const double t4 = t2 - (t3 * moved[3]);
+    const double t5 = 0.010000000000000002 * moved[8];
+    moved_covariance[1] = t4 + (t5 * moved[7]);
+    const double t6 = mixed_0_3_covariance[2] + (moved[4] * mixed_0_3_covariance[4]);
+    moved_covariance[2] = t6 + (t3 * moved[4]) + (t5 * moved[8]);
+    moved_covariance[5] = mixed_0_3_covariance[5] + 2.5000000000000008e-05;
+    moved_covariance[3] = t1;
+    moved_covariance[4] = t3;
+}
+
 /* combination; combined prediction. */
 RANGE_BEARING_INLINE void range_bearing_part_6(const double *mean_m1, const double *mean_m0,
     double *errors)
@@ -861,32 +861,12 @@ RANGE_BEARING_INLINE void range_bearing_mode_4(const double *y, double *innovati
     {
         innovation_0[0] = y[0];
     }
-    range_bearing_mode_3(y[1], seen, innovation_1, ((present & 0x2u) != 0u));
-    range_bearing_mode_3(y[2], mode_state[2], innovation_2, ((present & 0x4u) != 0u));
+    range_bearing_mode_3(&y[1], seen, innovation_1, ((present & 0x2u) != 0u));
+    range_bearing_mode_3(&y[2], mode_state[2], innovation_2, ((present & 0x4u) != 0u));
 
     /* mode 2: no signal, R */
     range_bearing_copy(mode_state, mean, 3);
     range_bearing_copy(mode_covariance, covariance, 6);
-}
-
-/* mixing and prediction of every mode: linearisation. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_3(const double *u,
-    const double *corrected_mixing, double *moved)
-{
-    const double t0 = 0.1 * u[0];
-    const double t1 = range_bearing_cos(corrected_mixing[2]);
-    const double t2 = t0 * t1;
-    moved[0] = corrected_mixing[0] + t2;
-    const double t3 = range_bearing_sin(corrected_mixing[2]);
-    const double t4 = t0 * t3;
-    moved[1] = corrected_mixing[1] + t4;
-    moved[2] = corrected_mixing[2] + (0.1 * u[1]);
-    moved[3] = -t4;
-    moved[5] = 0.1 * t1;
-    moved[6] = 0.1 * t3;
-    moved[7] = t1 * t0;
-    moved[8] = t3 * t0;
-    moved[4] = t2;
 }
 
 /* What differs between the calls of range_bearing_propagate_2, a row for each. */
@@ -908,6 +888,26 @@ RANGE_BEARING_INLINE void range_bearing_propagate_2(const double *mode_probabili
     mixing[1] = numbers[1] * mode_probability[1] * mode_prediction_inverse;
     mixing[2] = numbers[0] * mode_probability[2] * mode_prediction_inverse;
     mixing[3] = numbers[1] * mode_probability[3] * mode_prediction_inverse;
+}
+
+/* mixing and prediction of every mode: linearisation. */
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_3(const double *u,
+    const double *turn_mixing, double *moved)
+{
+    const double t0 = 0.1 * u[0];
+    const double t1 = range_bearing_cos(turn_mixing[2]);
+    const double t2 = t0 * t1;
+    moved[0] = turn_mixing[0] + t2;
+    const double t3 = range_bearing_sin(turn_mixing[2]);
+    const double t4 = t0 * t3;
+    moved[1] = turn_mixing[1] + t4;
+    moved[2] = turn_mixing[2] + (0.1 * u[1]);
+    moved[5] = 0.1 * t1;
+    moved[6] = 0.1 * t3;
+    moved[7] = t1 * t0;
+    moved[8] = t3 * t0;
+    moved[3] = t4;
+    moved[4] = t2;
 }
 
 /* innovation of the mixture. */
@@ -1067,10 +1067,10 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_innovation_of_the_mixt
     const double t87 = t85 + (predicted_mode_probability[3] * t86);
     combined_variance[5] = t87 + ((t63 * t62) + (t66 * t65) + (t69 * t68) + (t72 * t71));
     range_bearing_innovation_of_the_mixture(predicted_mode_probability, predicted_y_m0[1],
-        predicted_y_m1[1], predicted_y_m2[1], predicted_y_m3[1], y[0], &combined_angle_1,
+        predicted_y_m1[1], predicted_y_m2[1], predicted_y_m3[1], y, &combined_angle_1,
         ((present & 0x2u) != 0u));
     range_bearing_innovation_of_the_mixture(predicted_mode_probability, predicted_y_m0[2],
-        predicted_y_m1[2], predicted_y_m2[2], predicted_y_m3[2], y[1], &combined_angle_2,
+        predicted_y_m1[2], predicted_y_m2[2], predicted_y_m3[2], &y[1], &combined_angle_2,
         ((present & 0x4u) != 0u));
     const double t88 = predicted_mode_probability[0] * innovation_m0_0;
     const double t89 = t88 + (predicted_mode_probability[1] * innovation_m1_0);
@@ -1172,7 +1172,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     double combined_2_3_mean[3];
     double combined_2_3_covariance[6];
     double combined_0_3_covariance[6];
-    double corrected_combination[3];
+    double turn_combination[3];
     range_bearing_status_t status;
 
     /* mode 2: no signal, R: innovation, row by row */
@@ -1272,10 +1272,9 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
         combined_apart_2_3_squared, combined_2_3_covariance);
     range_bearing_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance, mean_m0,
-        corrected_combination);
-    if (!range_bearing_finite((range_bearing_defect(corrected_combination[0]) +
-        range_bearing_defect(corrected_combination[1])) +
-        range_bearing_defect(corrected_combination[2])))
+        turn_combination);
+    if (!range_bearing_finite((range_bearing_defect(turn_combination[0]) +
+        range_bearing_defect(turn_combination[1])) + range_bearing_defect(turn_combination[2])))
     {
         return RANGE_BEARING_RESULT_NOT_FINITE;
     }
@@ -1303,7 +1302,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     range_bearing_copy(weight, mode_probability, 4);
     range_bearing_copy(log_weight_now, log_weight, 4);
     log_likelihood[0] = log_evidence;
-    range_bearing_copy(corrected_combination, filtered_state, 3);
+    range_bearing_copy(turn_combination, filtered_state, 3);
     range_bearing_copy(combined_0_3_covariance, filtered_covariance, 6);
     range_bearing_copy(mean_m0, mode_filtered_state, 3);
     range_bearing_copy(mean_m1, &mode_filtered_state[3], 3);
@@ -1359,23 +1358,23 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_correct(const range_be
     seen[2] = self->mode_state[0] / t0;
     const double t1 = self->mode_state[1] * self->mode_state[1];
     const double t2 = t1 + (self->mode_state[0] * self->mode_state[0]);
-    seen[3] = -(self->mode_state[1] / t2);
+    seen[3] = self->mode_state[1] / t2;
     seen[4] = self->mode_state[1] / t0;
     seen[5] = self->mode_state[0] / t2;
     const double t3 = range_bearing_hypot(self->mode_state[3], self->mode_state[4]);
     seen[8] = self->mode_state[3] / t3;
     const double t4 = self->mode_state[4] * self->mode_state[4];
     const double t5 = t4 + (self->mode_state[3] * self->mode_state[3]);
-    seen[9] = -(self->mode_state[4] / t5);
+    seen[9] = self->mode_state[4] / t5;
     seen[10] = self->mode_state[4] / t3;
     seen[11] = self->mode_state[3] / t5;
     const double t6 = self->mode_state[7] * self->mode_state[7];
     const double t7 = t6 + (self->mode_state[6] * self->mode_state[6]);
-    seen[13] = -(self->mode_state[7] / t7);
+    seen[13] = self->mode_state[7] / t7;
     seen[14] = self->mode_state[6] / t7;
     const double t8 = self->mode_state[10] * self->mode_state[10];
     const double t9 = t8 + (self->mode_state[9] * self->mode_state[9]);
-    seen[16] = -(self->mode_state[10] / t9);
+    seen[16] = self->mode_state[10] / t9;
     seen[17] = self->mode_state[9] / t9;
     seen[0] = t0;
     seen[6] = t3;
@@ -1435,7 +1434,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double mixed_0_2_3_mean[3];
     double mixed_0_2_3_covariance[6];
     double mixed_0_0_3_covariance[6];
-    double corrected_mixing_0[3];
+    double turn_mixing_0[3];
     double moved_0[9];
     double moved_state_0[3];
     double moved_covariance_0[6];
@@ -1447,7 +1446,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double mixed_1_2_3_mean[3];
     double mixed_1_2_3_covariance[6];
     double mixed_1_0_3_covariance[6];
-    double corrected_mixing_1[3];
+    double turn_mixing_1[3];
     double moved_1[9];
     double moved_state_1[3];
     double moved_covariance_1[6];
@@ -1457,7 +1456,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double predicted_0_1_mean[3];
     double predicted_0_1_covariance[6];
     double prediction_mean[3];
-    double corrected_prediction[3];
+    double turn_prediction[3];
     range_bearing_propagate_2(self->mode_probability, &mode_prediction_0, mixing_0,
         range_bearing_propagate_2_numbers[0]);
     range_bearing_propagate_2(self->mode_probability, &mode_prediction_1, mixing_1,
@@ -1490,10 +1489,10 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
         mixed_apart_2_3_squared, mixed_0_2_3_covariance);
     range_bearing_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance,
-        self->mode_filtered_state, corrected_mixing_0);
+        self->mode_filtered_state, turn_mixing_0);
 
     /* mixing and prediction of every mode: linearisation */
-    range_bearing_mixing_and_prediction_3(u, corrected_mixing_0, moved_0);
+    range_bearing_mixing_and_prediction_3(u, turn_mixing_0, moved_0);
 
     /* mixing and prediction of every mode */
     range_bearing_mixing_and_prediction_2(moved_0, moved_state_0, mixed_0_0_3_covariance,
@@ -1510,10 +1509,10 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
         mixed_apart_2_3_squared, mixed_1_2_3_covariance);
     range_bearing_part_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
         mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance,
-        self->mode_filtered_state, corrected_mixing_1);
+        self->mode_filtered_state, turn_mixing_1);
 
     /* mixing and prediction of every mode: linearisation */
-    range_bearing_mixing_and_prediction_3(u, corrected_mixing_1, moved_1);
+    range_bearing_mixing_and_prediction_3(u, turn_mixing_1, moved_1);
 
     /* mixing and prediction of every mode */
     range_bearing_mixing_and_prediction_2(moved_1, moved_state_1, mixed_1_0_3_covariance,
@@ -1528,15 +1527,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     range_bearing_part_3(predicted_0_1_share, moved_covariance_0, moved_covariance_1,
         predicted_apart_0_1_squared, predicted_0_1_covariance);
     range_bearing_copy(predicted_0_1_mean, prediction_mean, 3);
-    corrected_prediction[0] = moved_state_0[0] + prediction_mean[0];
-    corrected_prediction[1] = moved_state_0[1] + prediction_mean[1];
-    corrected_prediction[2] = moved_state_0[2] + prediction_mean[2];
+    turn_prediction[0] = moved_state_0[0] + prediction_mean[0];
+    turn_prediction[1] = moved_state_0[1] + prediction_mean[1];
+    turn_prediction[2] = moved_state_0[2] + prediction_mean[2];
     const double t6 = range_bearing_log(mode_prediction_0);
     const double t7 = range_bearing_log(mode_prediction_1);
     if (!range_bearing_finite(((range_bearing_defect(t6) + range_bearing_defect(t7)) +
-        (range_bearing_defect(corrected_prediction[0]) +
-        range_bearing_defect(corrected_prediction[1]))) +
-        ((range_bearing_defect(corrected_prediction[2]) +
+        (range_bearing_defect(turn_prediction[0]) + range_bearing_defect(turn_prediction[1]))) +
+        ((range_bearing_defect(turn_prediction[2]) +
         range_bearing_defect(predicted_0_1_covariance[0])) +
         (range_bearing_defect(predicted_0_1_covariance[2]) +
         range_bearing_defect(predicted_0_1_covariance[5])))))
@@ -1553,7 +1551,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     next->predicted_log_weight[3] = RANGE_BEARING_LOG_ZERO;
     range_bearing_copy(moved_state_1, &next->mode_state[3], 3);
     range_bearing_copy(moved_covariance_1, &next->mode_covariance[6], 6);
-    range_bearing_copy(corrected_prediction, next->predicted_state, 3);
+    range_bearing_copy(turn_prediction, next->predicted_state, 3);
     range_bearing_copy(predicted_0_1_covariance, next->predicted_covariance, 6);
     next->mode_state[0] = moved_state_0[0];
     next->mode_state[6] = moved_state_0[0];
