@@ -19,7 +19,7 @@ from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError, SpecError, UnfitError
 from fkgen.families import family
-from fkgen.problem import Spec
+from fkgen.problem import Model, Spec
 from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.index import At, Target, Whole, name_of, names_in
@@ -67,12 +67,6 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     """Turn a recursion into the data of a C program, verified."""
     spec = recursion.spec
     model = spec.model
-    signals: dict[str, Any] = {
-        kind: tuple(ir.Signal(s.name, s.unit) for s in getattr(model, kind))
-        for kind in ("inputs", "outputs")
-    }
-    named = ((name, "" if s.manifold else s.unit) for s in model.states for name in coordinates(s))
-    signals["states"] = tuple(ir.Signal(*each) for each in named)
     lowered: dict[str, Any] = {
         name: lower_phase(recursion.ports, phase)
         for name in ("update", "closing", "predict")
@@ -85,7 +79,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
     if recursion.prior is not None:
-        lowered["origin"] = lower_phase(prior_ports(model.nx), recursion.prior)
+        lowered["origin"] = lower_phase(prior_ports(model), recursion.prior)
     lowered = {name: without_implied(phase) for name, phase in lowered.items()}
     names, phases = {port.name for port in ports}, list(lowered.values())
     form: tuple[str, ...] = (
@@ -113,9 +107,19 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             shares_functions=spec.code.elementary == "shared",
             stated=stated(spec, phases),
             **lowered,
-            **signals,
+            **_signals(model),
         )
     )
+
+
+def _signals(model: Model) -> dict[str, Any]:
+    """States, inputs and outputs by name, of an attitude its four numbers."""
+    named = ((name, "" if s.manifold else s.unit) for s in model.states for name in coordinates(s))
+    return {
+        "states": tuple(ir.Signal(*each) for each in named),
+        "inputs": tuple(ir.Signal(each.name, each.unit) for each in model.inputs),
+        "outputs": tuple(ir.Signal(each.name, each.unit) for each in model.outputs),
+    }
 
 
 def lower_phase(

@@ -237,7 +237,7 @@ def digits(spec: Spec) -> float:
 
 def linearised_digits(spec: Spec) -> float:
     """What the ratio of state to measurement noise leaves where equations are linearised at x0."""
-    ratios, P0 = [0.0], spec.model.P0.values()
+    ratios, P0 = [0.0], spec.model.P0.values(spec.defaults)
     for plant in spec.plants:
         C = sensed_at_prior(spec, plant)
         Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")

@@ -103,10 +103,10 @@ def prior_symbols(model: Model | Plant) -> dict[str, ca.SX]:
     return {"x": ca.SX.sym("x", model.nx), "P": ca.SX.sym("P", len(triangle(model.ne)))}
 
 
-def prior_ports(n: int) -> tuple[Port, ...]:
+def prior_ports(model: Model) -> tuple[Port, ...]:
     """What the phase writes that computes the prior of the spec."""
-    mean = shown("x", (n,), "mean of the prior", unit="x")
-    return mean, shown("P", (n, n), "its covariance", unit="xx", symmetric=True)
+    mean = shown("x", (model.nx,), "mean of the prior", unit="x")
+    return mean, shown("P", (model.ne, model.ne), "its covariance", unit="xx", symmetric=True)
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:

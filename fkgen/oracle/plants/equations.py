@@ -85,8 +85,9 @@ def system_of(
     has: Array = np.ones(model.nx)
     if isinstance(plant, Mode) and plant.kept is not None:  # the other states are 0
         has = np.isin(np.arange(model.nx), plant.kept).astype(float)
-    P0 = model.P0.values() if P0 is None else P0
-    given = {"x0": has * model.x0.values()[:, 0], "S": over(model.S)}
+    first = samples[which[0]] if len(which) else spec.defaults
+    P0 = model.P0.values(first) if P0 is None else P0
+    given = {"x0": has * model.x0.values(first)[:, 0], "S": over(model.S)}
     given["P0"] = P0 if has.all() else has[:, None] * P0 * has
     given |= {"Q": over(plant.Q), "R": over(plant.R)}
     wraps = np.array([each.wrap for each in model.outputs], bool)

@@ -45,7 +45,8 @@ class Subject:
         self.findings: list[Finding] = []
         self.values: dict[str, float] = {}
         self.Q, self.R = (each.values(spec.defaults) for each in (spec.model.Q, spec.model.R))
-        self.x0, self.P0 = spec.model.x0.values()[:, 0], spec.model.P0.values()
+        self.x0 = spec.model.x0.values(spec.defaults)[:, 0]
+        self.P0 = spec.model.P0.values(spec.defaults)
         self.curved = spec.filter.linearises  # f and h in place of matrices
         if not self.curved:
             self._read_matrices(LinearSystem.from_spec(spec, 1, None, spec.first_rates))

@@ -120,7 +120,7 @@ class Trajectory:
             P[rows, columns] = P[columns, rows] = replay.port(f"{which}_covariance")
             return np.array(replay.port(f"{which}_state"), float), P
 
-        prior = model.x0.values()[:, 0], model.P0.values()
+        prior = model.x0.values(spec.defaults)[:, 0], model.P0.values(spec.defaults)
         found: dict[str, list[tuple[Array, Array]]] = {"predicted": [], "filtered": []}
         accepted = []
         for k in range(self.T):
