@@ -181,12 +181,15 @@ def _write(text: str, output: Path | None, then: str, *, force: bool, err: bool)
 
 @main.command()
 @_SPEC
+@click.option("--record", type=Path, help="Record along which f and h are looked at.")
+@_INPUTS
 @_JSON
-def check(spec: Spec, *, as_json: bool) -> None:
+@_reading
+def check(spec: Spec, *, as_json: bool, **options: Any) -> None:
     """Say what is wrong with a model before anyone trusts it."""
-    from fkgen.study.diagnostics.check import check as examine
+    from fkgen.study.diagnostics.check import checked
 
-    report = examine(spec)
+    report = checked(spec, say=_say, **options)
     rows = [
         (_styled(f.severity, _STYLES[f.severity]), f.code, "; ".join(filter(None, texts)))
         for f in report.findings

@@ -213,6 +213,11 @@ class _Lowering:
         return values
 
     def _operate(self, code: int, arguments: list[Operand], out: list[ir.Statement]) -> Temp:
+        if code == ca.OP_SIGN:  # the derivative of abs
+            signs = ([Literal(0.0), *arguments], [*arguments, Literal(0.0)])
+            return self._operate(
+                ca.OP_SUB, [self._operate(ca.OP_LT, each, out) for each in signs], out
+            )
         if code not in _OPERATORS:
             raise InternalError(f"no C for CasADi operation {code}")
         if code in {ca.OP_SQ, ca.OP_TWICE}:

@@ -17,6 +17,8 @@ from fkgen.problem.table.section import Section, as_table
 NAMES = (
     "kf",
     "ekf",
+    "iekf",
+    "ukf",
     "mkf",
     "mme",
     "linear_optimal",

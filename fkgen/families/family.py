@@ -178,7 +178,8 @@ def demand_noise(spec: Spec, compares: str) -> None:
         if compares:
             expected = f"a positive definite R for {compares}: it compares densities"
             raise place.entry("R").error("a singular matrix", expected)
-        if not plant.Q.values(spec.defaults).any():
+        noises = () if plant.equations is None else plant.equations.noises
+        if not (noises or plant.Q.values(spec.defaults).any()):
             raise place.entry("R").error(
                 "a singular matrix, and Q = 0",
                 "a positive definite R where there is no process noise, or some process noise",

@@ -57,6 +57,9 @@ class Traits:
     #: ("full"), or of the part that they measure ("partial")
     nonlinear: bool = False  # It linearises where it is, so it takes equations
     windows: Literal["none", "full", "partial"] = "none"
+    #: How it takes f and h: by derivatives at a "point", found "anew" in the update, or by a
+    #: "spread" of points
+    looks: Literal["point", "anew", "spread"] = "point"
     #: What it is told of the faults of every sample, as run-time parameters
     told: tuple[Parameter, ...] = ()
 

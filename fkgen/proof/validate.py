@@ -11,8 +11,9 @@ from fkgen.errors import ValidationError
 from fkgen.families import family
 from fkgen.families.family import Family
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
-from fkgen.oracle.claims.gaussian import digits_at_stake
+from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT, digits_at_stake
 from fkgen.oracle.plants.actuator import actuation_of
+from fkgen.oracle.plants.equations import is_nonlinear
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
@@ -222,8 +223,22 @@ def _mild_prior(spec: Spec) -> Array:
 
 def digits(spec: Spec) -> float:
     """The relative error to expect where rounding is not amplified from sample to sample."""
+    if is_nonlinear(spec):
+        return linearised_digits(spec)
     none = np.zeros((0, 0))
     return digits_at_stake(spec, Record(y=none, u=none, parameters={}, P0=spec.model.P0.values()))
+
+
+def linearised_digits(spec: Spec) -> float:
+    """What the ratio of state to measurement noise leaves where equations are linearised at x0."""
+    ratios, P0 = [0.0], spec.model.P0.values()
+    for plant in spec.plants:
+        C = sensed_at_prior(spec, plant)
+        Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")
+        if is_singular(R):
+            return RANK_DEFICIENT
+        ratios.append(float(np.max(np.diag(C @ (P0 + Q) @ C.T) / np.diag(R))))
+    return max(EXACT, 1e3 * float(np.finfo(float).eps) * max(ratios))
 
 
 def distance(

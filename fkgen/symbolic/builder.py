@@ -100,6 +100,24 @@ class PhaseBuilder:
             named[at].nz[k] = symbols[i]
         return named
 
+    def name_distinct(self, name: str, matrices: Sequence[ca.SX]) -> tuple[ca.SX, ...]:
+        """The same, where entries may be equal, or opposite: each is computed once."""
+        flat = [matrix.nz[k] for matrix in matrices for k in range(matrix.nnz())]
+        flat = ca.vertsplit(ca.cse(column(flat))) if flat else []
+        entries = [_without_sign(each) for each in flat]
+        known = {value.element_hash(): value for value, _ in entries if not value.is_constant()}
+        known = {key: value for key, value in known.items() if not value.is_leaf()}
+        if not known:
+            return tuple(matrices)
+        symbols = self.define(name, column(list(known.values())))
+        places = {key: symbols[at] for at, key in enumerate(known)}
+        ready = iter([sign * places.get(v.element_hash(), v) for v, sign in entries])
+        named = tuple(ca.SX(matrix) for matrix in matrices)
+        for matrix in named:
+            for k in range(matrix.nnz()):
+                matrix.nz[k] = next(ready)
+        return named
+
     def demand(self, kind: Kind, values: Sequence[ca.SX], status: Status) -> None:
         """Refuse the sample unless all values are of this kind; constants are left out."""
         undecided = [value for value in values if not value.is_constant()]
@@ -124,3 +142,8 @@ class PhaseBuilder:
         variables = tuple(v for v in self._variables if v.name in live)
         symbols = {k: v for k, v in self._symbols.items() if k not in local or k in live}
         return Phase(tuple(reversed(blocks)), variables, symbols, unless)
+
+
+def _without_sign(value: ca.SX) -> tuple[ca.SX, int]:
+    """A value and 1, or its opposite and -1 where it is stated by that."""
+    return (value.dep(0), -1) if value.is_op(ca.OP_NEG) else (value, 1)

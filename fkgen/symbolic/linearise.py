@@ -10,8 +10,10 @@ from dataclasses import replace
 
 import casadi as ca
 
+from fkgen.errors import InternalError
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.lifting.equations import Lifted
 from fkgen.symbolic.linalg import congruence
 from fkgen.symbolic.plant import Plant
 
@@ -32,6 +34,9 @@ def moved_from(
     builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
 ) -> tuple[Plant, ...]:
     """Plants with f, A, B at a state each, and what the noises that enter through f add to P."""
+    stirred = {id(plant.lifted): plant.lifted for plant in plants if plant.lifted is not None}
+    for lifted in stirred.values():
+        demand_variances(builder, lifted)
     letters = ("moved", "A", "B", "G", "moved_by")
     found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
     _demand_finite(builder, [own[4] for own in found if own is not None])
@@ -54,6 +59,22 @@ def _demand_finite(builder: PhaseBuilder, columns: Sequence[ca.SX]) -> None:
     builder.demand(Kind.FINITE, [*values.values()], Status.RESULT_NOT_FINITE)
 
 
+def demand_variances(builder: PhaseBuilder, lifted: Lifted) -> None:
+    """Refuse noises that enter through f with a variance below zero."""
+    variances = ca.vertsplit(lifted.variances) if lifted.variances.numel() else []
+    builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+
+
+def evaluated(
+    builder: PhaseBuilder, plant: Plant, state: ca.SX, u: ca.SX, named: tuple[str, tuple[str, ...]]
+) -> list[ca.SX]:
+    """Some of the expressions of a plant with f and h, by their letters, at a state."""
+    (found,) = _evaluated(builder, [plant], [state], u, named)
+    if found is None:
+        raise InternalError("a plant with matrices is linear everywhere")
+    return found
+
+
 def _evaluated(
     builder: PhaseBuilder,
     plants: Sequence[Plant],
@@ -69,5 +90,5 @@ def _evaluated(
             own = [getattr(plant.lifted, letter) for letter in letters]
             values += ca.substitute(own, [plant.lifted.x, plant.lifted.u], [state, u])
     with builder.titled("linearisation"):
-        ready = iter(builder.name_all(name, values))
+        ready = iter(builder.name_distinct(name, values))
     return [None if plant.lifted is None else [next(ready) for _ in letters] for plant in plants]

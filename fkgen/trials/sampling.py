@@ -20,12 +20,14 @@ from fkgen.backend.lines import filled
 from fkgen.backend.lower import lower_phase
 from fkgen.backend.printer import StatementPrinter
 from fkgen.backend.render import elementary_context
+from fkgen.errors import InternalError
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Port, Role, Status
-from fkgen.symbolic.linalg import column, is_zero, sparse
+from fkgen.symbolic.lifting.equations import box_plus, normalised
+from fkgen.symbolic.linalg import column, is_zero, reduced, sparse, total
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.trials import random_numbers
@@ -69,6 +71,8 @@ def render_sampler(spec: Spec) -> SamplerSource:
         "version": __version__,
         "tests_finiteness": any(node.kind is Kind.FINITE for node in every(Require, body)),
         **dict(zip("nqp", sizes, strict=True)),
+        "errors": spec.model.ne,
+        "noises": noise_count(spec),
         "conditions": conditions,
         "initial": _cumulative(conditions.initial),
         "kernel": [_cumulative(row) for row in conditions.kernel],
@@ -127,10 +131,17 @@ def _phases(
     }
 
 
+def noise_count(spec: Spec) -> int:
+    """Normal numbers of a step: those that are added to x, then those that enter through f."""
+    entering = (len(each.noises) for each in spec.equations)
+    return spec.model.ne + max(entering, default=0)
+
+
 def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.SX]:
     n, p = plant.nx, plant.ny
     numbers = len(conditions.indicators[0]) if conditions.indicators else 0
-    sizes = (n, plant.nu, n, p, conditions.coins, numbers, len(conditions.prior))
+    drawn = noise_count(spec)
+    sizes = (n, plant.nu, drawn, p, conditions.coins, numbers, len(conditions.prior))
     written = (n, p, sum(len(draw.patterns) - 1 for draw in conditions.draws))
     names = zip((*_INPUTS, *_WRITTEN), (*sizes, *written), strict=True)
     symbols = {name: ca.SX.sym(name, size) for name, size in names}
@@ -139,10 +150,11 @@ def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.S
 
 
 def _start(spec: Spec, symbols: Mapping[str, ca.SX]) -> recursion.Phase:
-    """x[0] = x0 + root(P0) w."""
-    builder = PhaseBuilder(symbols)
-    x0, root = ca.SX(spec.model.x0.values()), lower_root(ca.SX(spec.model.P0.values()))
-    builder.assign({"state": x0 + root @ symbols["w"]})
+    """x[0] = x0 (+) root(P0) w."""
+    builder, model = PhaseBuilder(symbols), spec.model
+    x0, root = ca.SX(model.x0.values()), lower_root(ca.SX(model.P0.values()))
+    error = root @ symbols["w"][: model.ne]
+    builder.assign({"state": normalised(box_plus(x0, error, model.attitudes), model.attitudes)})
     return builder.phase()
 
 
@@ -167,35 +179,89 @@ def _law(
 def _sample(
     plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
 ) -> recursion.Phase:
-    """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
+    """y[k] = s h(x, u) + f root(R) v, or x[k+1] = f(x, u, w) (+) root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
     if conditions.entering and port == "state":
         indicator = indicator[-conditions.plants :]
-    letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
-    M, N, covariances, offsets = ([getattr(p, letter) for p in plants] for letter in letters)
+    covariances = [plant.R if port == "measurement" else plant.Q for plant in plants]
     for covariance in covariances:
         variances = ca.vertsplit(sparse(ca.diag(covariance)))
         builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     roots = {id(covariance): lower_root(covariance) for covariance in covariances}
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
-    shared = plants[0].S if port == "state" else ca.SX(0, 0)
-    value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
-    offset, added = _moving(offsets, indicator), root @ symbols[noise]
+    value = _stated(builder, plants, indicator, (symbols["x"], u, symbols["w"]), port)
     if port == "measurement":
-        signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
-        for row in conditions.rows:
-            signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
-        value = signal * (value + offset) + deviation * added
+        added, by = root @ symbols["v"], plants[0].lifted is not None
+        value = _sensed(conditions, indicator, value, added, guarded=by)
+        for row in plants[0].wraps:
+            value[row] = reduced(value[row])
     else:
+        shared, w = plants[0].S, symbols["w"][: plants[0].ne]
+        added = root @ w
         if shared.nnz():  # w given v, which y[k] was drawn with
             R = plants[0].R
             joint = lower_root(ca.blockcat(R, shared.T, shared, plants[0].Q))
-            added = joint[R.shape[0] :, :] @ ca.vertcat(symbols["v"], symbols["w"])
-        value = value + added + offset
+            added = joint[R.shape[0] :, :] @ ca.vertcat(symbols["v"], w)
+        attitudes = plants[0].attitudes
+        value = normalised(box_plus(value, added, attitudes), attitudes)
     builder.assign({port: value})
     builder.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
     return builder.phase()
+
+
+def _stated(
+    builder: PhaseBuilder,
+    plants: tuple[Plant, ...],
+    indicator: ca.SX,
+    at: tuple[ca.SX, ca.SX, ca.SX],
+    port: str,
+) -> ca.SX:
+    """h, or f with its noises, of the plant that moves; ``at``: x, u and w."""
+    x, u, w = at
+    if plants[0].lifted is None:
+        letters = "CDd" if port == "measurement" else "ABc"
+        M, N, offset = (
+            _moving([getattr(p, letter) for p in plants], indicator) for letter in letters
+        )
+        return M @ x + N @ u + offset
+    values = []
+    indicators = [ca.SX(1)] if len(plants) == 1 else ca.vertsplit(indicator[: len(plants)])
+    for plant, holds in zip(plants, indicators, strict=True):
+        lifted = plant.lifted
+        if lifted is None:
+            raise InternalError("modes of matrices beside modes of equations")
+        expression, noise = lifted.seen, ca.SX.zeros(lifted.w.shape)
+        if port == "state":
+            variances = ca.vertsplit(lifted.variances) if lifted.w.numel() else []
+            builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+            drawn = w[plant.ne : plant.ne + lifted.w.numel()]
+            expression, noise = lifted.stirred, ca.sqrt(lifted.variances) * drawn
+        (value,) = ca.substitute([expression], [lifted.x, lifted.u, lifted.w], [x, u, noise])
+        values.append(_while(holds, ca.cse(value)))
+    return total(values)
+
+
+def _while(holds: ca.SX, value: ca.SX) -> ca.SX:
+    """A vector where an indicator is 1, else zeros: nothing of a value that may be none."""
+    if holds.is_constant():
+        return value
+    entries = ca.vertsplit(ca.densify(value))
+    return column([ca.SX.binary(ca.OP_IF_ELSE_ZERO, holds > 0, each) for each in entries])
+
+
+def _sensed(
+    conditions: Conditions, indicator: ca.SX, value: ca.SX, added: ca.SX, *, guarded: bool
+) -> ca.SX:
+    """Measurements of a signal and its noise, with what the condition makes of both."""
+    signal, deviation = ca.SX.ones(value.numel()), ca.SX.ones(value.numel())
+    for row in conditions.rows:
+        signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
+    seen = signal * value
+    if guarded:  # a signal that is lost may have no value
+        pairs = zip(ca.vertsplit(signal), ca.vertsplit(ca.densify(value)), strict=True)
+        seen = column([_while(*each) for each in pairs])
+    return seen + deviation * added
 
 
 def _moving(values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:

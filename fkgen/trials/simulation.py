@@ -152,8 +152,7 @@ def simulate(
         Soft faults: added to y, and to what the plant gets as u and the filter is not told.
     present : (T, p) or (M, T, p) array_like of bool
         Which rows of y are measured (default: all); the others are NaN.
-    progress : bool
-        Show how far it is, on stderr.
+    progress : bool, on stderr
 
     Raises
     ------

@@ -19,7 +19,7 @@ from fkgen.families import NAMES, family
 from fkgen.study.reports.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
-OTHERS = {"fault-effects": resource("docs/fault-effects.md")}
+OTHERS = {name: resource(f"docs/{name}.md") for name in ("fault-effects", "equations")}
 EXTRA = {
     "linear_optimal": [
         {"form": "augmented"},
@@ -54,12 +54,26 @@ def test_code_on_a_page_prints_what_stands_beside_it(name):
         assert printed.getvalue().splitlines() == expected
 
 
-@pytest.mark.parametrize("page", ["docs/spec-file.md"])
+@pytest.mark.parametrize("page", ["docs/spec-file.md", "docs/equations.md"])
 def test_spec_files_on_a_page_validate(page):
     found = blocks(resource(page), "toml")
     assert found
     for text in found:
         assert fkgen.validate(fkgen.Spec.from_dict(tomllib.loads(text))).claims
+
+
+def test_errors_on_the_page_about_equations_are_those_that_come():
+    text = resource("docs/equations.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w[\w.]* = .*)` \| (model\..*) \|$", text, re.MULTILINE)
+    assert len(rows) > 5
+    for change, said in rows:
+        table = tomllib.loads(blocks(resource("docs/equations.md"), "toml")[0])
+        for key, value in tomllib.loads(change).items():
+            given = table["model"].get(key, {})
+            table["model"][key] = {**given, **value} if isinstance(value, dict) else value
+        with pytest.raises(fkgen.SpecError) as refused:
+            fkgen.Spec.from_dict(table, file="spec.toml")
+        assert str(refused.value) == f"spec.toml: {said}"
 
 
 def ports_of(name):

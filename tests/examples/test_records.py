@@ -11,11 +11,15 @@ from scripts import EXAMPLES, scripts_of
 
 DATA = Path(os.environ.get("FKGEN_DATA") or EXAMPLES.parents[1] / "shared" / "data")
 SETS = {
+    "attitude": "broad_imu",
+    "battery": "battery_leaf",
     "car_speed": "car_wheel_speed",
     "gps_glitch": "uav_gps_glitch",
     "ship_track": "ship_tracks_ais",
 }
 MADE = {
+    "attitude": {f"record_{trial}.csv" for trial in (16, 30, 32, 35)},
+    "battery": {"record.csv"},
     "car_speed": {"record.csv", "lost.csv", "reference.csv"},
     "gps_glitch": {"record.csv"},
     "ship_track": {"reports.csv"},  # its record.csv is made of this one, see test_ship_track.py

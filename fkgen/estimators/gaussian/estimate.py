@@ -25,8 +25,16 @@ from fkgen.estimators.gaussian.sequential import (
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
-from fkgen.symbolic.lifting.equations import box_plus, normalised, turned_by
-from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
+from fkgen.symbolic.lifting.equations import shifted, turned_by
+from fkgen.symbolic.linalg import (
+    congruence,
+    diagonal,
+    is_zero,
+    least_congruence,
+    pack,
+    sparse,
+    unpack,
+)
 from fkgen.symbolic.plant import Plant, sensed_at_prior
 from fkgen.symbolic.recursion import Guard
 
@@ -149,9 +157,9 @@ def off_by(
     builder: PhaseBuilder, plant: Plant, origin: ca.SX, errors: ca.SX, tag: str = ""
 ) -> tuple[ca.SX, ca.SX]:
     """The state that lies off by errors, and by what small errors turn on the way, named."""
-    state = normalised(box_plus(origin, errors, plant.attitudes), plant.attitudes)
-    (turn,) = builder.name_all(f"turn{tag}", (turned_by(plant.attitudes, errors),))
-    return builder.define(f"corrected{tag}", state), turn
+    state = shifted(origin, errors, plant.attitudes)
+    both = builder.name_all(f"turn{tag}", (state, turned_by(plant.attitudes, errors)))
+    return both[0], both[1]
 
 
 def expected(plant: Plant, state: ca.SX, u: ca.SX) -> ca.SX:
@@ -195,7 +203,8 @@ def propagate(
     P = unpack(posterior.covariance, n)
     spread = ca.SX.zeros(len(triangle(n))) if plant.spread is None else plant.spread
     if posterior.deviation.numel() == 0:
-        covariance = congruence(plant.A, P) + pack(plant.Q) + spread
+        carried = congruence if plant.moved is None else least_congruence
+        covariance = carried(plant.A, P) + pack(plant.Q) + spread
         if actuation.size:
             covariance += congruence(B, actuation.covariance)
         return state, covariance, plant.A
@@ -208,7 +217,7 @@ def propagate(
     if not plant.attitudes:
         return state + shift, covariance, through
     turn = turned_by(plant.attitudes, shift)
-    state = normalised(box_plus(state, shift, plant.attitudes), plant.attitudes)
+    state = shifted(state, shift, plant.attitudes)
     return state, congruence(turn, unpack(covariance, n)), turn @ through
 
 

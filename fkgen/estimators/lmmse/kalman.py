@@ -53,7 +53,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         source=source,
         ports=ports,
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
-        predict=_predict(spec, plant, symbols, with_gain=with_gain),
+        predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
         outcomes=gate_outcomes(spec),
         notes=gate_notes(spec),
@@ -161,7 +161,8 @@ def _update(
     return builder.phase()
 
 
-def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
+def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
+    """Propagate what is known of x, and of inputs and noise, to the next sample."""
     builder = PhaseBuilder(symbols)
     _demand_rates(builder, spec, plant)
     plant = bound(builder, plant, "ABQc")

@@ -133,6 +133,18 @@ def matrices(equations: Equations) -> dict[str, Matrix] | None:
     return {letter: matrix(*where) for letter, where in letters.items()}
 
 
+def affine_parts(equations: Equations) -> tuple[bool, bool]:
+    """Whether f (from sample to sample) and h are affine in states, inputs and noises."""
+    if equations.attitudes:
+        return False, False
+    reader = _Reader(equations)
+    f, h = (
+        all(not isinstance(tree, Increment) and reader.read(tree) is not None for tree in trees)
+        for trees in (equations.f, equations.h)
+    )
+    return f and not equations.continuous, h
+
+
 def why_not_linear(equations: Equations, model: Model) -> tuple[str, str]:
     """Which key of a model, or of a mode of it, says that it is not linear, and what it says."""
     for i, each in enumerate(model.states):

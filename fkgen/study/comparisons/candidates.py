@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.families import ALIASES, NAMES, family
 from fkgen.faults import JumpFaults
+from fkgen.faults.chain import Mode
 from fkgen.faults.jump import ENTERED, INDICATOR
 from fkgen.problem import Spec
+from fkgen.problem.functions.reading import plain_equations
 from fkgen.problem.table.place import Place
 from fkgen.trials.simulation import Simulation
 
@@ -54,7 +56,9 @@ def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     own, everyone = fault_section(spec), {name: family(name) for name in NAMES}
     able = [n for n, f in everyone.items() if own in f.accepts and not f.traits.told]
     found, left_out = [], []
-    for name in (*able, *(n for n, f in everyone.items() if not f.accepts)):
+    plain = [n for n, f in everyone.items() if not f.accepts]
+    plain = [n for n in plain if everyone[n].traits.nonlinear == spec.filter.linearises]
+    for name in (*able, *(plain[:1] if own else plain)):
         try:
             derived(spec, name)
         except UserError as error:
@@ -77,7 +81,9 @@ def derived(truth: Spec, text: str, *, inherits: bool = True) -> Spec:
     fitting = [each for each in NAMES if not (takes := family(each).accepts) or own in takes]
     if ":" not in name and ALIASES.get(name, name) not in fitting:
         about = f"{own} faults" if own else "a plant without faults"
-        expected = f"of {about}: {', '.join(fitting)}"
+        curved = truth.filter.linearises
+        meant = [n for n in fitting if family(n).accepts or family(n).traits.nonlinear == curved]
+        expected = f"of {about}: {', '.join(meant)}"
         raise DataError("families", given=repr(name), expected=expected)
     found, table = family(name), truth.to_dict()
     same = inherits and family(truth.filter.family) is found
@@ -113,11 +119,13 @@ def genie_of(truth: Spec) -> Spec:
 
     For sensor faults the family ``genie``; for actuator faults a Kalman filter that is told what
     reaches the plant; for jumps one that is told modes and losses; without faults the Kalman filter
-    itself, without a gate and with a gain that follows the covariance.
+    itself, without a gate and with a gain that follows the covariance. Of a plant with f and h it
+    is the extended Kalman filter: no bound, but what the others are compared with.
     """
     if truth.faults.jump is not None:
         return _mode_aided(truth, truth.faults.jump)
-    name = "genie" if truth.faults.sensor is not None else "kf"
+    name = "ekf" if truth.filter.linearises else "kf"
+    name = "genie" if truth.faults.sensor is not None else name
     return derived(truth, name, inherits=False)
 
 
@@ -150,7 +158,9 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
             if truth.faults.jump.unequal:
                 entered = np.roll(simulation.mode, -1, axis=1)  # nothing is asked after the last
                 params[ENTERED.format(i)] = (entered == i).astype(float)
-        u = np.concatenate([driving, np.ones((*driving.shape[:-1], 1))], axis=-1)
+        u = driving if spec.model.nu else None
+        if not truth.filter.linearises:  # what a mode adds is driven by an input that is 1
+            u = np.concatenate([driving, np.ones((*driving.shape[:-1], 1))], axis=-1)
     elif gamma is not None and delta is not None:
         params |= {"gamma": gamma, "delta": delta}
         u = None if u is None else driving
@@ -176,6 +186,8 @@ def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
     """
     table: dict[str, Any] = truth.to_dict()
     told = faults.told()
+    if told.equations is not None:
+        return _mode_aided_equations(truth, table, told)
     added = {
         "B": [[*row, *extra] for row, extra in zip(told.B.plain(), told.c.plain(), strict=True)],
         "D": [[*row, *extra] for row, extra in zip(told.D.plain(), told.d.plain(), strict=True)],
@@ -190,3 +202,17 @@ def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
     for name in (INDICATOR, ENTERED) if faults.unequal else (INDICATOR,):
         table["parameters"] |= {name.format(i): float(i == 0) for i in range(len(faults.modes))}
     return Spec.from_dict(table | {"faults": {}, "filter": {"family": "kf"}}, file=truth.file)
+
+
+def _mode_aided_equations(truth: Spec, table: dict[str, Any], told: Mode) -> Spec:
+    """The same of a plant with f and h, which read the mode."""
+    model = truth.model
+    kept = ("states", "inputs", "outputs", "x0", "P0", "sample_time")
+    stated = {key: value for key, value in table["model"].items() if key in kept}
+    if told.equations is not None:
+        stated |= plain_equations(told.equations, model.states, model.outputs)
+    stated |= {letter: getattr(told, letter).plain() for letter in "QR"}
+    modes = () if truth.faults.jump is None else truth.faults.jump.modes
+    table["parameters"] |= {INDICATOR.format(i): float(i == 0) for i in range(len(modes))}
+    changed = {"model": stated, "faults": {}, "filter": {"family": "ekf"}}
+    return Spec.from_dict(table | changed, file=truth.file)

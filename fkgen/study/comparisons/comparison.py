@@ -18,6 +18,7 @@ from fkgen.errors import DataError, names_of, of_type
 from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.problem import Signal, Spec
+from fkgen.problem.functions.named import coordinates
 from fkgen.problem.spec import as_spec
 from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import (
@@ -233,7 +234,8 @@ def _columns(spec: Spec, found: Simulation) -> dict[str, Array]:
     model, y = spec.model, found.y[0]
     columns = named(model.outputs, y) | named(model.inputs, found.u)
     columns |= {name: np.broadcast_to(each, len(y)) for name, each in found.params.items()}
-    columns |= named(model.states, found.state[0], "true.")
+    states = [Signal(name) for each in model.states for name in coordinates(each)]
+    columns |= named(states, found.state[0], "true.")
     if found.gamma is not None and found.delta is not None:
         columns |= {"gamma": found.gamma[0], "delta": found.delta[0]}
     elif found.gamma is not None:

@@ -19,6 +19,7 @@ from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import Detection, Scores
 from fkgen.study.reports.jsonable import json_text
+from fkgen.trials.errors import error_signals
 
 Array = NDArray[np.float64]
 
@@ -268,7 +269,7 @@ def _score(entry: Entry, best: Array) -> Score:
 
 def _row(truth: Spec, score: Score, entry: Entry, *, pareto: bool) -> Row:
     scores = entry.scores
-    states = zip(truth.model.states, scores.squared.T, strict=True)
+    states = zip(error_signals(truth.model.states), scores.squared.T, strict=True)
     declared = np.full_like(scores.detection, np.nan) if score.label == GENIE else scores.detection
     found = Detection(*declared.T)
     return Row(
@@ -294,7 +295,11 @@ def _notes(
     no_faults = "is the Kalman filter of the plant, told of no soft fault but free of them"
     paired = f"+- one standard error over {size['runs']} trials, the same for every filter"
     counting = f"samples {size['skip']} to {size['steps'] - 1} count"
-    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counting}"]
+    about = _GENIE_IS.get(faults, no_faults)
+    if truth.filter.linearises:
+        about = about.replace("a Kalman", "an extended Kalman").replace("the K", "the extended K")
+        about += "; it linearises, so that another filter may be better"
+    notes = [f"genie {about}", f"{paired}; {counting}"]
     without = [row.family for row in rows if not family(row.family).accepts]
     if without and faults:
         taken = "the same plant with its faults left out; it takes every y and u for good"

@@ -11,6 +11,7 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.comparisons.candidates import FilterInputs
 from fkgen.symbolic.interface import Status
+from fkgen.trials.errors import errors_of
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ class Detection(NamedTuple):
 class Scores(NamedTuple):
     """One filter over M trials."""
 
-    squared: Array  # (M, n), mean squared error of every state
+    squared: Array  # (M, ne), mean squared error of every state, of an attitude by axes
     nees: Array  # (M,), mean normalised square of the error per dimension: 1 if P is right
     nis: Array  # (M,), the same of the innovation
     refused: Array  # (M,), samples that the filter refused
@@ -57,7 +58,8 @@ def score(
 
     kept = [name for name in PORTS if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
-    error = (drawn.state - run["filtered_state"])[:, skip:].astype(np.float64)
+    states = drawn.spec.model.states
+    error = errors_of(states, drawn.state[:, skip:], run["filtered_state"][:, skip:])
     covariance = run["filtered_covariance"][:, skip:]
     runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))

@@ -6,16 +6,32 @@ y present.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from fkgen.backend.lower import lower
+from fkgen.errors import DataError, UnfitError
 from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
 from fkgen.problem.spec import as_spec
 from fkgen.runtime.compiler import LARGE
-from fkgen.study.diagnostics import digits, dynamics, faults, jumps, start, visibility
+from fkgen.study.diagnostics import (
+    curvature,
+    digits,
+    dynamics,
+    faults,
+    jumps,
+    start,
+    trajectory,
+    visibility,
+)
 from fkgen.study.diagnostics.subject import Subject, listed
+from fkgen.study.records.reading import Reading
+from fkgen.study.records.table import Say, constants_or_record
 from fkgen.study.reports.jsonable import json_text
 
 __all__ = ["Finding", "Report", "check"]
@@ -73,6 +89,19 @@ def _cost(model: Subject) -> None:
         model.add("large_code", program.flops)
 
 
+def _functions(model: Subject, given: Mapping[str, Any]) -> None:
+    """The questions about a plant with f and h."""
+    for diagnose in _OF_FUNCTIONS:
+        diagnose(model)
+    drive = trajectory.drive_of(model.spec, **given)
+    try:
+        path = trajectory.Trajectory(model.spec, drive)
+    except UnfitError:  # which is a finding by now
+        return
+    for examine in _ON_THE_WAY:
+        examine(model, path)
+
+
 _DIAGNOSTICS = (
     *(dynamics.stability, dynamics.observability, dynamics.excitation, dynamics.silence),
     *(dynamics.steady_state, dynamics.error_decay),
@@ -86,14 +115,36 @@ _DIAGNOSTICS = (
 #: Where every mode has matrices of its own, those of the model say little.
 _OF_JUMPS = (jumps.diagnose, start.start, _caveats, _parameters, _cost)
 
+#: Of plants with f and h, matrices there are none: what says something without them.
+_OF_FUNCTIONS = (
+    *(digits.perfect_measurements, digits.number_range, start.start, faults.known_rate),
+    *(faults.hypotheses, _caveats, faults.noise_factor, faults.distribution, jumps.chain),
+    *(_parameters, _cost),
+)
+#: And what is found along a trajectory.
+_ON_THE_WAY = (
+    *(trajectory.spread, trajectory.observability, curvature.nonlinearity),
+    *(curvature.inputs, curvature.integration),
+)
 
-def check(spec: Spec) -> Report:
+
+def check(
+    spec: Spec,
+    *,
+    y: ArrayLike | None = None,
+    u: ArrayLike | None = None,
+    params: Mapping[str, ArrayLike] | None = None,
+) -> Report:
     """Examine the model of a spec; nothing is built or written.
 
     Parameters
     ----------
     spec : Spec
         A spec that could be read; what cannot be is a `SpecError` before this.
+    y, u, params : (T, p), (T, q) array_like, mapping
+        A record along which a plant with f and h is linearised, as for `run`, of which the first
+        thousand samples are looked at. Without y a trial is drawn, with u constant (q,) or (T, q);
+        zero by default. A plant of matrices is the same everywhere: it takes none of them.
 
     Returns
     -------
@@ -108,7 +159,22 @@ def check(spec: Spec) -> Report:
     conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
     model = Subject(as_spec(spec))
-    for diagnose in _DIAGNOSTICS if spec.faults.jump is None else _OF_JUMPS:
+    if model.curved:
+        _functions(model, {"y": y, "u": u, "params": params})
+    elif any(each is not None for each in (y, u, params)):
+        given, expected = "a record", "none: matrices are the same wherever the plant is"
+        raise DataError("check", given=given, expected=expected)
+    for diagnose in () if model.curved else _OF_JUMPS if spec.faults.jump else _DIAGNOSTICS:
         diagnose(model)
     worst_first = sorted(model.findings, key=lambda finding: _ORDER.index(finding.severity))
     return Report(tuple(worst_first), model.values)
+
+
+def checked(spec: Spec, *, record: Reading | None, inputs: str, say: Say) -> Report:
+    """The report of the command: with a record, or constant inputs."""
+    constants, table = constants_or_record(spec, inputs, record, say)
+    if table is None:
+        return check(spec, u=constants)
+    if len(table.y) > trajectory.LONGEST and spec.filter.linearises:
+        say("note", [f"{table.samples} samples: the first {trajectory.LONGEST} are looked at"])
+    return check(spec, y=table.y, u=table.u if spec.model.nu else None, params=table.params)

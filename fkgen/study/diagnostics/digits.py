@@ -50,11 +50,11 @@ def innovation(model: Subject) -> None:
             found[name] = prior + constant_input_noise(model.system, inputs)[1]
     if model.steady is not None:
         found["innovation_rank_stationary"] = model.steady.innovation
-    _perfect_measurements(model)
+    perfect_measurements(model)
     model.ranks(found, _WHERE)
 
 
-def _perfect_measurements(model: Subject) -> None:
+def perfect_measurements(model: Subject) -> None:
     """Rows of y, or combinations of them, without noise."""
     exact = [name for name, r in zip(model.outputs, np.diag(model.R), strict=True) if r <= 0.0]
     missing = len(model.R) - numerical_rank(model.R)
@@ -96,7 +96,8 @@ def rounding(model: Subject) -> None:
 def number_range(model: Subject) -> None:
     """Numbers of the model that float cannot hold."""
     limits = np.finfo(np.float32)
-    for letter in ("A", "B", "C", "D", "Q", "R", "P0", "x0") if model.is_float else ():
+    letters = ("Q", "R", "P0", "x0") if model.curved else ("A", "B", "C", "D", "Q", "R", "P0", "x0")
+    for letter in letters if model.is_float else ():
         size = np.abs(getattr(model, letter))
         size = size[size != 0.0]
         outside = size[(size > float(limits.max)) | (size < float(limits.tiny))]

@@ -36,7 +36,7 @@ def known_rate(model: Subject) -> None:
     for rate in dict.fromkeys(rates):
         if rate in {0.0, 1.0}:
             model.add("certain_rate", rate, with_="with" if rate == 1.0 else "without")
-    if not model.D.any():
+    if not model.curved and not model.D.any():
         model.add("no_feedthrough")
 
 
@@ -47,7 +47,8 @@ def hypotheses(model: Subject) -> None:
         return
     count, floor = len(options.hypotheses), options.weight_floor
     _alike(model, options)
-    _identification(model, faults, options.likelihood)
+    if not model.curved:
+        _identification(model, faults, options.likelihood)
     model.values["weight_floor_total"] = count * floor
     if floor == 0.0:
         model.add("no_weight_floor", 0.0)

@@ -37,6 +37,40 @@ note error_decay_unproved: {reason}: then it is only certain that the effect, me
     never grows once the fault is over (condition e); that every rho(M[k]) < 1 would prove nothing
     more -> see fault-effect, over parameters and inputs that occur
 
+note stationary_sd.trajectory: standard deviation of the filtered state in the second half of {of}:
+    {deviations}
+warning trajectory_refused: the filter refuses {value} of {samples} samples of {of}, the first is
+    sample {first}: they are left out -> see the status of run at that sample
+warning unobservable.trajectory: unobservable along {of}: over {length} samples from any of its
+    {windows} windows on the measurements say nothing about {names}
+    -> measure it, leave it out of the model, or drive the plant in another way (--record, --u)
+note unobservable.sometimes: unobservable in {k} of {windows} windows of {length} samples of {of},
+    which begin at samples {starts}: there the measurements say nothing about {names}
+note weakly_observable: no window of {length} samples of {of} determines {name} as well as the prior
+    does: sd {value:.3g} from measurements alone, {prior:.3g} from P0
+note nonlinearity: second-order terms along {of}: of h up to {h} deviations of the noise, of f up to
+    {f} of the prediction; {enough} is enough
+warning nonlinearity.anew: second-order terms along {of}: of h up to {h} deviations of the noise,
+    of f up to {f} of the prediction: {family} believes its first estimates too much; over the
+    spread of the filtered state they are {h_after} -> family = "{enough}", or a smaller P0
+warning nonlinearity.spread: second-order terms along {of}: of h up to {h} deviations of the noise,
+    of f up to {f} of the prediction: too many for {family} -> family = "{enough}", which takes them
+    in, or less uncertainty; fkgen compare says what is left
+warning nonlinearity.faults: second-order terms along {of}: of h up to {h} deviations of the noise,
+    of f up to {f} of the prediction: too many for {family}, which linearises as ekf does
+    -> a smaller P0, or more noise in R; fkgen compare says what it does to errors
+warning nonlinearity.none: second-order terms along {of}: of h up to {h} deviations of the noise, of
+    f up to {f} of the prediction: what is not linear is most of the error, which no Gaussian
+    describes -> a smaller P0, or trials: fkgen compare says what each filter makes of it
+error no_value: {key} has no value for {name} within a deviation or two of the estimate at sample
+    {value} of {of} -> functions that are defined there (max, if), or a smaller P0
+warning not_affine: {key} is not affine in inputs that fail: {family} takes it at their mean, which
+    is off by up to {where} deviations -> inputs that enter linearly: functions of them as inputs
+note not_affine.little: {key} is not affine in inputs that fail: {family} takes it at their mean,
+    which is off by up to {where} deviations
+warning integration: {integrator} with substeps = {substeps} is off by {value:.2g} deviations of the
+    prediction in a sample -> substeps = {count}
+
 note unseen_bias: a lasting bias of {name} cannot be seen: the estimate takes all of it in, and only
     its first samples show in the innovation (from {least} on, GLR of one sample)
     -> a second sensor of the same, if that matters

@@ -31,7 +31,7 @@ def diagnose(model: Subject) -> None:
         return
     dynamics = [mode.A.values(spec.defaults) for mode in faults.modes]
     radius = mean_square_radius(faults.transition, dynamics)
-    _chain(model, faults)
+    chain(model)
     _stability(model, faults, radius)
     trusting = own = None
     if spec.filter.traits.moments:
@@ -50,8 +50,11 @@ def diagnose(model: Subject) -> None:
         _detector(model)
 
 
-def _chain(model: Subject, faults: JumpFaults) -> None:
+def chain(model: Subject) -> None:
     """Does the distribution of the mode have a limit, and which modes never come."""
+    faults = model.spec.faults.jump
+    if faults is None:
+        return
     P = faults.transition
     ergodic, law = is_ergodic(P), stationary_law(P)
     model.values["ergodic"] = float(ergodic)

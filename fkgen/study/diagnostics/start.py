@@ -24,6 +24,7 @@ from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.code import Scalar
 from fkgen.study.diagnostics.subject import Array, Subject
+from fkgen.trials.errors import error_sizes, errors_of
 
 SAMPLES = 1000
 
@@ -56,8 +57,9 @@ def start(model: Subject) -> None:
     if negative.size:
         model.add("start.negative", negative.size, samples=SAMPLES, first=int(negative[0]))
     deviation = np.sqrt(np.maximum(exact.variance, 0.0))
-    spread = np.spacing(np.abs(exact.state).astype(np.float32)).astype(float)
-    off = np.maximum(np.abs(found.state - exact.state) - 2.0 * spread, 0.0)
+    states = model.spec.model.states
+    apart = np.abs(errors_of(states, found.state, exact.state))
+    off = np.maximum(apart - 2.0 * error_sizes(states, _spacing(exact.state)), 0.0)
     shares = np.divide(off, deviation, out=np.zeros_like(off), where=deviation > 0.0)
     shares[~alike] = 0.0
     at, worst = np.unravel_index(int(np.argmax(shares)), shares.shape)
@@ -70,11 +72,16 @@ def start(model: Subject) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Estimates:
-    """Filtered states and their variances, (T, n), and which samples were accepted, (T,)."""
+    """Filtered states (T, n) and their variances (T, ne), and which samples were accepted, (T,)."""
 
     state: Array
     variance: Array
     accepted: Any
+
+
+def _spacing(values: Array) -> Array:
+    """Units in the last place of float."""
+    return np.spacing(np.abs(values).astype(np.float32)).astype(float)
 
 
 def _drawn(spec: Spec) -> _Record:
@@ -94,9 +101,9 @@ def _estimates(spec: Spec, scalar: Scalar, record: _Record) -> _Estimates:
     code = replace(spec.code, scalar=scalar, ports=ports)
     replay = Replay(lower(family(spec.filter.family).build(replace(spec, code=code))))
     y, u, parameters = record
-    n = spec.model.nx
-    diagonal = [i * (i + 3) // 2 for i in range(n)]
-    state, variance, accepted = np.zeros((SAMPLES, n)), np.zeros((SAMPLES, n)), []
+    n, ne = spec.model.nx, spec.model.ne
+    diagonal = [i * (i + 3) // 2 for i in range(ne)]
+    state, variance, accepted = np.zeros((SAMPLES, n)), np.zeros((SAMPLES, ne)), []
     # what float rounds of y is no defect of the filter: both are given the same numbers
     measured = y.astype(np.float32).astype(float)
     driven = u.astype(np.float32).astype(float)

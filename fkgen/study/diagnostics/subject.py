@@ -17,6 +17,7 @@ from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_predi
 from fkgen.problem import Spec, names
 from fkgen.problem.finding import Finding
 from fkgen.study.diagnostics.findings import FINDINGS
+from fkgen.trials.errors import error_signals
 
 Array = NDArray[np.float64]
 
@@ -43,16 +44,21 @@ class Subject:
         self.spec = spec
         self.findings: list[Finding] = []
         self.values: dict[str, float] = {}
-        one = LinearSystem.from_spec(spec, 1, None, spec.first_rates)
+        self.Q, self.R = (each.values(spec.defaults) for each in (spec.model.Q, spec.model.R))
+        self.x0, self.P0 = spec.model.x0.values()[:, 0], spec.model.P0.values()
+        self.curved = spec.filter.linearises  # f and h in place of matrices
+        if not self.curved:
+            self._read_matrices(LinearSystem.from_spec(spec, 1, None, spec.first_rates))
+        self.states = [signal.name for signal in error_signals(spec.model.states)]
+        self.outputs = [signal.name for signal in spec.model.outputs]
+        self.has_faults = spec.faults.actuator is not None  # inputs fail
+        self.is_float = spec.code.scalar == "float"
+
+    def _read_matrices(self, one: LinearSystem) -> None:
         self.system = one
         self.A, self.B, self.C, self.D, self.Q, self.R = (
             np.asarray(of_samples[0]) for of_samples in (one.A, one.B, one.C, one.D, one.Q, one.R)
         )
-        self.x0, self.P0 = one.x0, one.P0
-        self.states = [signal.name for signal in spec.model.states]
-        self.outputs = [signal.name for signal in spec.model.outputs]
-        self.has_faults = spec.faults.actuator is not None  # inputs fail
-        self.is_float = spec.code.scalar == "float"
 
     @cached_property
     def spectral_radius(self) -> float:
@@ -63,8 +69,10 @@ class Subject:
     def used(self) -> frozenset[str]:
         """Names of the parameters on which the filter depends."""
         actuator, plants = self.spec.faults.actuator, self.spec.plants
-        matrices = [getattr(plant, letter) for plant in plants for letter in LETTERS]
+        letters = "QR" if self.curved else LETTERS
+        matrices = [getattr(plant, letter) for plant in plants for letter in letters]
         used: frozenset[str] = frozenset().union(*(matrix.names for matrix in matrices))
+        used = used.union(*(each.names for each in self.spec.equations))
         if actuator is not None and self.spec.first_rates is None:
             used = used.union(*(names(rate) for rate in actuator.success_rate))
             used |= frozenset() if actuator.covariance is None else actuator.covariance.names

@@ -129,6 +129,10 @@ def _information(spec: Spec, bias: Array, inputs: ArrayLike | None) -> tuple[Arr
     u = np.zeros(q) if inputs is None else numbers("u", inputs, np.float64).astype(float).ravel()
     if u.shape != (q,) or not np.isfinite(u).all():
         raise DataError("u", given=str(u), expected=f"{q} finite numbers, one per input")
+    if spec.filter.linearises:
+        given = "a plant with functions f and h, whose filter has no state of rest"
+        expected = "matrices, or linear f and h; simulate it: fkgen fault-effect, fkgen compare"
+        raise DataError("detectability", given=given, expected=expected)
     if not spec.filter.traits.linear:
         linear = ", ".join(name for name in NAMES if family(name).traits.linear)
         given = f"the family {spec.filter.family}"

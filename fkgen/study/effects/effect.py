@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 class FaultEffect:
     """The difference that a fault makes, over T samples.
 
+    n counts numbers of errors: of an attitude three, a rotation vector in body axes.
+
     Attributes
     ----------
     state_deviation : (T, n) ndarray

@@ -7,6 +7,7 @@ obeys the recursion of the filter itself, driven by the fault and started at zer
 
 Other filters run with and without the fault on records that differ in nothing else: one pair where
 the filter is linear in y, else simulated pairs with the same noise; their mean is the answer.
+Of a plant with f and h each of a pair has its own state: what a fault does depends on where it is.
 
 References
 ----------
@@ -37,6 +38,8 @@ from fkgen.runtime.record import choice, numbers, signal, whole
 from fkgen.runtime.results import Run
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.symbolic.interface import Status
+from fkgen.trials.errors import errors_of, reduced
+from fkgen.trials.simulation import simulate as draw_trials
 
 Array = NDArray[np.float64]
 _Records = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, ArrayLike | None]
@@ -110,8 +113,7 @@ def fault_effect(
         Who gets the input anomaly: ``"both"``, ``"plant"`` (actuator fault), ``"filter"``.
     steps : int, optional
         T, to be checked against the profile.
-    params : mapping, optional
-        Run-time parameters, numbers or (T,).
+    params : mapping of numbers or (T,), optional
     u : (T, q) array_like, optional
         Inputs without the fault; needed where the gain depends on them (``mkf``, ``mme``).
     y : (T, p) array_like, optional
@@ -125,6 +127,8 @@ def fault_effect(
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
     scenario = _checked(as_spec(spec), (sensor, input, u, y), params, mode, steps)
+    if spec.filter.linearises:
+        return _simulated_response(scenario, runs, seed)
     traits = spec.filter.traits
     if traits.linear and spec.model.S.is_zero:
         return _linear_response(scenario)
@@ -159,7 +163,8 @@ def _checked(
         raise DataError("the fault", given="a profile without samples", expected="at least one")
     if steps is not None:
         whole("steps", steps, least=T, most=T, expected=f"{T}, the length of the profile")
-    if u is None and model.nu and any((faults.actuator, faults.jump, faults.soft)):
+    moved = spec.filter.linearises or any((faults.actuator, faults.jump, faults.soft))
+    if u is None and model.nu and moved:
         names, family = ", ".join(each.name for each in model.inputs), spec.filter.family
         expected = f"shape ({T}, {model.nu}): {names}; the gain of {family} depends on u"
         raise DataError("u", given="nothing", expected=expected)
@@ -347,15 +352,60 @@ def _differenced_response(scenario: _Scenario) -> FaultEffect:
     return _difference(scenario, y, y, np.zeros((*y.shape[:2], scenario.spec.model.nx)))
 
 
-def _difference(scenario: _Scenario, healthy: Array, faulty: Array, plant: Array) -> FaultEffect:
-    """The mean over M pairs of records (M, T, p), or what one pair says exactly."""
-    spec, runs = scenario.spec, len(healthy)
+def _simulated_response(scenario: _Scenario, runs: int, seed: int) -> FaultEffect:
+    """The effect on a plant with f and h: by pairs of trials, each with its own state."""
+    whole("runs", runs, least=2, expected="a number of pairs, at least 2")
+    spec, told = scenario.spec, scenario.spec.filter.traits.told
+    for item in told:
+        if (scenario.params[item.name] != item.default).any():
+            expected = f"{item.default:g} at all samples: pairs are drawn with working sensors"
+            raise DataError(f"params.{item.name}", given="other values", expected=expected)
+    truth = replace(spec, faults=Faults()) if told else spec
+    params = {item.name: scenario.params[item.name] for item in spec.stated_parameters}
+    built, states = _with_ports(spec), spec.model.states
+
+    def run(u: Array, known: Array, added: Array) -> tuple[Run, Array]:
+        inputs = u if u.shape[1] else None
+        drawn = draw_trials(truth, runs, len(added), seed, inputs, params=params)
+        y = np.where(scenario.missing, np.nan, drawn.y) + added
+        found = _run(built, y, known, scenario.params)
+        return found, errors_of(states, drawn.state, found.filtered_state)
+
+    moved = scenario.u if scenario.mode == "filter" else scenario.u + scenario.anomaly
+    before, healthy = run(scenario.u, scenario.u, np.zeros_like(scenario.sensor))
+    after, faulty = run(moved, scenario.known_inputs, scenario.sensor)
+    change = errors_of(states, after.filtered_state, before.filtered_state)
+    innovation = after.innovation - before.innovation
+    wraps = [row for row, each in enumerate(spec.model.outputs) if each.wrap]
+    innovation[..., wraps] = reduced(innovation[..., wraps])
+    return FaultEffect(
+        state_deviation=change.mean(axis=0),
+        error_deviation=(faulty - healthy).mean(axis=0),
+        innovation_deviation=innovation.mean(axis=0),
+        noncentrality=(after.nis - before.nis).mean(axis=0),
+        state_sd=_deviation(after),
+        degrees=np.sum(~scenario.missing, axis=1),
+        kind="paired",
+        standard_error=change.std(axis=0, ddof=1) / np.sqrt(runs),
+        runs=runs,
+        gaussian=False,
+    )
+
+
+def _with_ports(spec: Spec) -> CompiledFilter:
+    """The filter, which has to have the ports that say what a fault does."""
     built = build(spec)
     lacking = [name for name in _PORTS if name not in built.ports]
     if lacking:
         expected = f"a family with the ports {', '.join(_PORTS)}"
         given = f"{spec.filter.family}, which has no {lacking[0]}: the question has no answer there"
         raise DataError("fault_effect", given=given, expected=expected)
+    return built
+
+
+def _difference(scenario: _Scenario, healthy: Array, faulty: Array, plant: Array) -> FaultEffect:
+    """The mean over M pairs of records (M, T, p), or what one pair says exactly."""
+    runs, built = len(healthy), _with_ports(scenario.spec)
     before = _run(built, healthy, scenario.u, scenario.params)
     after = _run(built, faulty + scenario.sensor, scenario.known_inputs, scenario.params)
     change = after.filtered_state - before.filtered_state

@@ -26,6 +26,7 @@ from fkgen.study.records.table import Say, constants_or_record, profile_of
 from fkgen.study.reports import plots
 from fkgen.study.reports.jsonable import Answer
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE
+from fkgen.trials.errors import error_signals
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,8 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool, s
         plots.save(draw(spec, effect, over, options.false_alarm, table), plot, force=force)
         notes.append(f"{plot}: written")
     head = ("state", "unit", "largest error", "at sample", "in sd", "at the end", "over at")
-    rows = [_row(each, effect, i, int(over[i])) for i, each in enumerate(spec.model.states)]
+    errors = error_signals(spec.model.states)
+    rows = [_row(each, effect, i, int(over[i])) for i, each in enumerate(errors)]
     sentences = (
         "The error is that of the state less its estimate; it is over at the first sample from",
         f"which on it stays below {options.fraction:g} of its peak.",
@@ -92,7 +94,7 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool, s
         "family": spec.filter.family,
         "kind": effect.kind,
         "runs": effect.runs,
-        "states": [signal.name for signal in spec.model.states],
+        "states": [signal.name for signal in errors],
         "outputs": [signal.name for signal in spec.model.outputs],
         "fraction": options.fraction,
         "settled": [int(k) if k < len(effect.degrees) else None for k in over],
@@ -111,7 +113,8 @@ def _row(state: Signal, effect: FaultEffect, i: int, over: int) -> Sequence[str]
 
 def _seen(spec: Spec, effect: FaultEffect, false_alarm: float) -> str:
     if effect.state_deviation.any() and not effect.error_deviation.any():
-        moved = zip(spec.model.states, np.abs(effect.state_deviation).max(axis=0), strict=True)
+        largest = np.abs(effect.state_deviation).max(axis=0)
+        moved = zip(error_signals(spec.model.states), largest, strict=True)
         sizes = ", ".join(f"{state.name} {size:.4g}" for state, size in moved)
         return f"The estimate moves as the state does, by up to {sizes}: no test sees it."
     if not effect.gaussian:
@@ -179,7 +182,7 @@ def draw(
         time, label = table.time[: len(time)], table.time_label
     draws = [
         partial(_draw_state, spec=spec, effect=effect, time=time, i=i, over=int(over[i]))
-        for i in range(len(spec.model.states[: plots.LARGEST]))
+        for i in range(len(error_signals(spec.model.states)[: plots.LARGEST]))
     ]
     draws.append(partial(_draw_visibility, effect=effect, time=time, false_alarm=false_alarm))
     return plots.panels([plots.HEIGHT] * len(draws), draws, label)
@@ -204,7 +207,7 @@ def _draw_state(
         )
     reach = 1.15 * max(float(np.abs(error).max()), min(float(np.median(sd)), 1e3)) or 1.0
     axis.set_ylim(-reach, reach)
-    axis.set_ylabel(plots.label_of(spec.model.states[i]))
+    axis.set_ylabel(plots.label_of(error_signals(spec.model.states)[i]))
     if i == 0:
         how = {"paired": f"mean of {effect.runs} pairs", "mean": "mean over lost commands"}
         text = f"{spec.name}: {spec.filter.family}, error that the fault makes"

@@ -9,12 +9,13 @@ R(q * exp(d)) = R(q) exp(d x): their derivatives are entries of R(q) again.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from fkgen.problem.equations import Equations, Increment
+from fkgen.problem.functions.affine import affine_parts
 from fkgen.problem.signals import Signal
 from fkgen.problem.text.expression import Expression, decisive
 from fkgen.symbolic.lifting import rotations
@@ -30,6 +31,8 @@ class Lifted:
 
     x: ca.SX  # x, u: (n, 1), (q, 1), symbols
     u: ca.SX
+    w: ca.SX  # (r, 1), symbols of the noises that enter through f
+    stirred: ca.SX  # (n, 1), f with these noises
     moved: ca.SX  # (n, 1), f
     seen: ca.SX  # (p, 1), h
     A: ca.SX  # A, B, G: (ne, ne), (ne, q), (ne, r), of f by x, u and w
@@ -44,6 +47,8 @@ class Lifted:
     attitudes: tuple[int, ...]  # where quaternions begin in x
     angles: tuple[int, ...]  # numbers of errors that are differences of angles
     wraps: tuple[int, ...]  # rows of y that are angles
+    #: plain: of f and h, whether it is affine in states, inputs and noises, and nothing wraps
+    plain: tuple[bool, bool]
 
 
 def lift_equations(
@@ -118,6 +123,7 @@ class _Lifting:
         equations = self.equations
         seen = column([lift_expression(tree, self.values) for tree in equations.h])
         moved, A, B, G = self._motion()
+        stirred = sparse(self._written_out(moved))
         found = [moved, seen, A, B, G, self._by_state(seen), ca.jacobian(seen, self.u)]
         motion = [part for f in equations.f for part in (f.by if isinstance(f, Increment) else [f])]
         found += [self._decisions(equations.for_f, motion)]
@@ -128,9 +134,14 @@ class _Lifting:
         if equations.period is not None:  # noises are held over a sample, and stated as densities
             period = lift_expression(equations.period, self.values)
             variances = [each / period for each in variances]
+        angles = tuple(e for (_, e, _), s in zip(parts, states, strict=True) if s.wrap)
+        wraps = tuple(i for i, signal in enumerate(outputs) if signal.wrap)
+        affine = affine_parts(equations)
         return Lifted(
             x=self.x,
             u=self.u,
+            w=self.w,
+            stirred=stirred,
             moved=moved,
             seen=seen,
             A=A,
@@ -142,8 +153,9 @@ class _Lifting:
             moved_by=moved_by,
             seen_by=seen_by,
             attitudes=equations.attitudes,
-            angles=tuple(e for (_, e, _), s in zip(parts, states, strict=True) if s.wrap),
-            wraps=tuple(i for i, signal in enumerate(outputs) if signal.wrap),
+            angles=angles,
+            wraps=wraps,
+            plain=(affine[0] and not angles, affine[1] and not wraps),
         )
 
     def _decisions(
@@ -206,7 +218,7 @@ class _Lifting:
             elif any(isinstance(e, Increment) and e.at == at for e in self.equations.f):
                 by = next(values)
                 turn = rotations.exponential(by)
-                moved.append(rotations.normalised(rotations.product(self.x[at : at + 4], turn)))
+                moved.append(rotations.renewed(rotations.product(self.x[at : at + 4], turn)))
                 J = rotations.right_jacobian(by)
                 own = [J @ each for each in self._derivatives(by)]
                 own[0][:, error : error + 3] += rotations.matrix(turn).T
@@ -244,21 +256,35 @@ class _Lifting:
 
     def _applied(self, x: ca.SX, rates: ca.SX, step: ca.SX) -> ca.SX:
         """The state that rates lead to."""
-        return box_plus(x, step * rates, self.equations.attitudes)
+        exponential = rotations.smooth_exponential
+        return box_plus(x, step * rates, self.equations.attitudes, exponential)
 
 
-def box_plus(x: ca.SX, errors: ca.SX, attitudes: Sequence[int]) -> ca.SX:
+def box_plus(
+    x: ca.SX,
+    errors: ca.SX,
+    attitudes: Sequence[int],
+    exponential: Callable[[ca.SX], ca.SX] = rotations.exponential,
+) -> ca.SX:
     """The state that lies off by errors, quaternions not normalised."""
     if not attitudes:
         return x + errors
     parts = []
     for at, error, turns in places(x.numel(), attitudes):
         if turns:
-            turn = rotations.exponential(errors[error : error + 3])
+            turn = exponential(errors[error : error + 3])
             parts.append(rotations.product(x[at : at + 4], turn))
         else:
             parts.append(x[at] + errors[error])
     return ca.vertcat(*parts)
+
+
+def shifted(x: ca.SX, errors: ca.SX, attitudes: Sequence[int]) -> ca.SX:
+    """The same with unit quaternions whose w is not negative."""
+    found = box_plus(x, errors, attitudes)
+    for at in attitudes:
+        found[at : at + 4] = rotations.renewed(found[at : at + 4])
+    return found
 
 
 def box_minus(x: ca.SX, origin: ca.SX, lifted: Lifted) -> ca.SX:

@@ -13,6 +13,9 @@ import casadi as ca
 #: Below this square of an angle closed forms lose digits, and three terms of their series do.
 SMALL = 1e-6
 
+#: No square of an angle is zero, and none that has an effect changes.
+NOTHING = 1e-30
+
 #: Below this square of the vector part the logarithm takes three terms of its series.
 NEAR = 1e-5
 
@@ -37,8 +40,22 @@ def squared(d: ca.SX) -> ca.SX:
     return d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
 
 
+def _of_half(d: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The square of an angle, and of its half the sine, over the angle, and the cosine."""
+    square = squared(d) + NOTHING
+    angle = ca.sqrt(square)
+    half = 0.5 * angle
+    return square, ca.sin(half) / angle, ca.cos(half)
+
+
 def exponential(d: ca.SX) -> ca.SX:
-    """The quaternion of a rotation vector, (4, 1)."""
+    """The quaternion of a rotation vector, (4, 1); its derivative loses digits near zero."""
+    _, sine, cosine = _of_half(d)
+    return ca.vertcat(cosine, sine * d)
+
+
+def smooth_exponential(d: ca.SX) -> ca.SX:
+    """The same, to be differentiated."""
     square = squared(d)
     sine = _of_square(square, (1 / 2, -1 / 48, 1 / 3840), lambda _, a: ca.sin(a / 2) / a)
     cosine = _of_square(square, (1.0, -1 / 8, 1 / 384), lambda _, a: ca.cos(a / 2))
@@ -78,6 +95,12 @@ def normalised(q: ca.SX) -> ca.SX:
     return q / _below(q[0], 0.0, -length, length)
 
 
+def renewed(q: ca.SX) -> ca.SX:
+    """The same of a product of unit quaternions, whose length is off by rounding alone."""
+    length = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    return (1.5 - 0.5 * length) * (1 - 2 * (q[0] < 0)) * q
+
+
 def within(q: ca.SX, tolerance: float) -> list[ca.SX]:
     """What is not negative where four numbers are so near to unit length."""
     apart = ca.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) - 1
@@ -105,33 +128,29 @@ def matrix(q: ca.SX) -> ca.SX:
     )
 
 
-def cross(v: ca.SX) -> ca.SX:
-    """The matrix of v x, with structural zeros."""
-    result = ca.SX(3, 3)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        result[j, i], result[i, j] = v[k], -v[k]
-    return result
-
-
 def right_jacobian(d: ca.SX) -> ca.SX:
     """D log(exp(d)^-1 exp(d + e)) / de at e = 0, (3, 3)."""
-    square = squared(d)
-    first = _of_square(square, (1 / 2, -1 / 24, 1 / 720), lambda s, a: (1 - ca.cos(a)) / s)
-    second = _of_square(square, (1 / 6, -1 / 120, 1 / 5040), lambda s, a: (a - ca.sin(a)) / (s * a))
-    outer = d @ d.T - square * ca.SX.eye(3)
-    return ca.SX.eye(3) - first * cross(d) + second * outer
+    square, sine, cosine = _of_half(d)
+    first, second = 2 * sine * sine, (1 - 2 * sine * cosine) / square  # lost digits are times d d'
+    return _polynomial(d, -first, second)
 
 
 def inverse_right_jacobian(d: ca.SX) -> ca.SX:
     """The inverse of `right_jacobian`, for angles below a full turn."""
-    square = squared(d)
-    second = _of_square(
-        square,
-        (1 / 12, 1 / 720, 1 / 30240),
-        lambda s, a: (1 - a / 2 * ca.cos(a / 2) / ca.sin(a / 2)) / s,
-    )
-    outer = d @ d.T - square * ca.SX.eye(3)
-    return ca.SX.eye(3) + cross(d) / 2 + second * outer
+    square, sine, cosine = _of_half(d)
+    return _polynomial(d, ca.SX(0.5), (1 - 0.5 * cosine / sine) / square)
+
+
+def _polynomial(d: ca.SX, first: ca.SX, second: ca.SX) -> ca.SX:
+    """1 + first (d x) + second (d x)^2."""
+    scaled, turned = ca.vertsplit(second * d), ca.vertsplit(first * d)
+    squares = [a * b for a, b in zip(scaled, ca.vertsplit(d), strict=True)]
+    result = ca.SX(3, 3)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[i, i] = 1 - (squares[j] + squares[k])
+        both = scaled[i] * d[j]
+        result[i, j], result[j, i] = both - turned[k], both + turned[k]
+    return result
 
 
 def pushed(q: ca.SX) -> ca.SX:

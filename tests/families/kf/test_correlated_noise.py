@@ -129,8 +129,9 @@ def test_other_families_say_that_they_do_not_take_it(name):
     from fkgen.study.reports.starters import starter
 
     table = tomllib.loads(starter(name))
-    n, p = len(table["model"]["A"]), len(table["model"]["C"])
+    n, p = len(table["model"]["P0"]), len(table["model"]["R"])
     table["model"]["S"] = np.full((n, p), 1e-12).tolist()
+    table["model"].setdefault("Q", (1e-6 * np.eye(n)).tolist())
     with pytest.raises(fkgen.SpecError, match="only the family kf") as fault:
         fkgen.Spec.from_dict(table)
     assert fault.value.key == "model.S"

@@ -127,7 +127,7 @@ def test_a_model_that_cannot_be_meant_is_refused_alike_from_a_file_a_dict_and_ev
 
 def test_an_unknown_family(refused):
     assert refused("new", "mk") == "error: family: given 'mk'; expected 'mkf'"
-    assert "expected one of: kf, mkf, mme" in refused("new", "nothing")
+    assert "expected one of: kf, ekf, iekf, ukf, mkf, mme" in refused("new", "nothing")
 
 
 def test_new_never_overwrites(refused):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import plants
 import pytest
 from effect_plants import MODELS, T, close, paper, varying
 
@@ -189,3 +190,58 @@ def test_a_picture_runs_over_the_times_of_the_record(tmp_path):
             assert axis.lines[0].get_xdata().tolist() == times
         (end,) = (line for line in axes[0].lines if line.get_label() == "over")
         assert end.get_xdata()[0] == times[int(over[0])]
+
+
+def as_functions(model):
+    """The same plant by f and h; the wrap of a row that never comes near makes it no linear one."""
+
+    def rows(*letters):
+        parts = zip(*(np.asarray(model[each]) for each in letters), strict=True)
+        return [
+            "+".join(f"{value!r}*{name}{i}" for row, name in zip(row_of, "xu", strict=True)
+                     for i, value in enumerate(row.tolist()))
+            for row_of in parts
+        ]  # fmt: skip
+
+    named = {"states": ("x", 3), "inputs": ("u", 2), "outputs": ("y", 2)}
+    found = {key: [{"name": f"{x}{i}"} for i in range(n)] for key, (x, n) in named.items()}
+    found["outputs"][0] |= {"unit": "rad", "wrap": True}
+    return found | {key: model[key] for key in ("Q", "R", "x0", "P0")} | {
+        "f": rows("A", "B"), "h": rows("C", "D"),
+    }  # fmt: skip
+
+
+def test_of_functions_that_are_linear_pairs_say_what_the_recursion_does():
+    model = plants.random_model(7, 3, 2, 2, direct=True) | {"x0": [0.0] * 3}
+    model |= {key: (1e-4 * np.asarray(model[key])).tolist() for key in ("Q", "R", "P0")}
+    linear, table = plants.spec(model), {"name": "curved", "filter": {"family": "ekf"}}
+    curved = fkgen.Spec.from_dict(table | {"model": as_functions(model)})
+    assert curved.filter.linearises
+    rng, T = np.random.default_rng(4), 25
+    sensor, anomaly = 0.01 * rng.normal(size=(2, T, 2))
+    for mode in ("both", "plant", "filter"):
+        given = {"sensor": sensor, "input": anomaly, "mode": mode, "u": np.zeros((T, 2))}
+        exact = fkgen.fault_effect(linear, **given)
+        paired = fkgen.fault_effect(curved, **given, runs=3)
+        assert paired.kind == "paired"
+        for name in ("state_deviation", "error_deviation", "innovation_deviation", "state_sd"):
+            expected = getattr(exact, name)
+            np.testing.assert_allclose(getattr(paired, name), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_bias_of_a_range_moves_an_estimate_by_what_the_geometry_says():
+    """Far away, with a prior worth nothing, the estimate takes in the whole bias of the range."""
+    model = {
+        "states": [{"name": "px"}, {"name": "py"}],
+        "outputs": [{"name": "range"}, {"name": "bearing", "unit": "rad", "wrap": True}],
+        "Q": [[1.0, 0.0], [0.0, 1.0]], "R": [[1e-4, 0.0], [0.0, 1e-8]],
+        "x0": [300.0, -400.0], "P0": [[1e-2, 0.0], [0.0, 1e-2]],
+        "h": {"range": "hypot(px, py)", "bearing": "atan2(py, px)"},
+    }  # fmt: skip
+    spec = fkgen.Spec.from_dict({"name": "far", "model": model, "filter": {"family": "ekf"}})
+    bias = np.zeros((12, 2))
+    bias[6:, 0] = 2.0
+    found = fkgen.fault_effect(spec, bias, runs=40)
+    np.testing.assert_allclose(found.state_deviation[:6], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.state_deviation[11], [1.2, -1.6], atol=0.02)
+    np.testing.assert_allclose(found.error_deviation, -found.state_deviation, atol=1e-9)

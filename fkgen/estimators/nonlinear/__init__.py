@@ -1,0 +1,1 @@
+"""Filters of plants by equations that do more than linearise once."""
