@@ -61,7 +61,8 @@ def _equations(spec: Spec, equations: Equations) -> _Part:
             text = f"{name} * [{', '.join(map(to_text, motion.by))}]"
         else:
             text = to_text(motion)
-        lines.append(f"f: {name} = {text}")
+        if equations.continuous or text != name:  # else it stays as it is
+            lines.append(f"f: {name} = {text}")
     rows = zip(model.outputs, equations.h, strict=True)
     lines += [f"h: {signal.name} = {to_text(tree)}" for signal, tree in rows]
     lines += [f"w: {noise.name} ~ (0, {to_text(noise.variance)})" for noise in equations.noises]

@@ -22,7 +22,8 @@ def seen_from(
     builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
 ) -> tuple[Plant, ...]:
     """Plants with h, C and D at a state each; what they have in common is computed once."""
-    found = _evaluated(builder, plants, states, u, (f"seen{tag}", ("seen", "C", "D")))
+    found = _evaluated(builder, plants, states, u, (f"seen{tag}", ("seen", "C", "D", "seen_by")))
+    _demand_finite(builder, [own[i] for own in found if own is not None for i in (0, 3)])
     return tuple(
         plant if own is None else replace(plant, seen=own[0], C=own[1], D=own[2])
         for plant, own in zip(plants, found, strict=True)
@@ -36,8 +37,9 @@ def moved_from(
     stirred = {id(plant.lifted): plant.lifted for plant in plants if plant.lifted is not None}
     for lifted in stirred.values():
         demand_variances(builder, lifted)
-    letters = ("moved", "A", "B", "G")
+    letters = ("moved", "A", "B", "G", "moved_by")
     found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
+    _demand_finite(builder, [own[4] for own in found if own is not None])
     moved = []
     for plant, own in zip(plants, found, strict=True):
         if own is None or plant.lifted is None:
@@ -48,6 +50,13 @@ def moved_from(
             spread = congruence(own[3], ca.diag(plant.lifted.variances))
         moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread))
     return tuple(moved)
+
+
+def _demand_finite(builder: PhaseBuilder, columns: Sequence[ca.SX]) -> None:
+    """Refuse the sample where h, or what f and h decide by, has no value."""
+    entries = (each[i] for each in columns for i in range(each.numel()))
+    values = {value.element_hash(): value for value in entries}
+    builder.demand(Kind.FINITE, [*values.values()], Status.RESULT_NOT_FINITE)
 
 
 def demand_variances(builder: PhaseBuilder, lifted: Lifted) -> None:

@@ -18,7 +18,7 @@ from fkgen.symbolic.lifting.expressions import Wholes, lift, lift_expression
 from fkgen.symbolic.linalg import sparse
 
 #: What of a plant with f and h is about f.
-MOTION = ("moved", "A", "B", "G", "variances")
+MOTION = ("moved", "A", "B", "G", "variances", "moved_by")
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60

@@ -1785,6 +1785,11 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     battery_linearisation_5(carried_71, &mode_state[8], carried_72);
     battery_linearisation_3(&mode_state[12], carried_72, carried_68[34], seen, carried_69[0],
         carried_70, carried_71[35]);
+    if (!battery_finite((battery_defect(seen[0]) + battery_defect(seen[2])) +
+        (battery_defect(seen[4]) + battery_defect(seen[6]))))
+    {
+        return BATTERY_RESULT_NOT_FINITE;
+    }
 
     /* mode 0: signal, R: innovation, row by row */
     status = battery_mode_6(y, mode_state, seen, mean_m0, mode_covariance, covariance_m0, mean_m1,

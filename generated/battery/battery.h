@@ -16,8 +16,6 @@
  *   stays = exp((-dt) / 100.0)
  *   f: soc = soc + current * dt / (3600.0 * capacity)
  *   f: v1 = stays * v1 + 0.0015 * (1.0 - stays) * current
- *   f: current = current
- *   f: r0 = r0
  *   h: sensor = current
  *   h: voltage = interp(soc, 'ocv') + r0 * current + v1
  *   Q = diag(1e-10 * dt, 1e-06 * dt, 4.0 * dt, 9e-12 * dt)   [-, V, A, ohm] squared

@@ -1384,6 +1384,12 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_correct(const range_be
     seen[12] = t10 - self->mode_state[8];
     const double t11 = range_bearing_atan2(-self->mode_state[10], -self->mode_state[9]);
     seen[15] = t11 - self->mode_state[11];
+    if (!range_bearing_finite(((range_bearing_defect(seen[0]) + range_bearing_defect(seen[1])) +
+        range_bearing_defect(seen[6])) + ((range_bearing_defect(seen[7]) +
+        range_bearing_defect(seen[12])) + range_bearing_defect(seen[15]))))
+    {
+        return RANGE_BEARING_RESULT_NOT_FINITE;
+    }
 
     /* mode 0: signal, R: innovation, row by row */
     status = range_bearing_mode(y, seen, &innovation_m0_0, self->mode_state, mean_m0,

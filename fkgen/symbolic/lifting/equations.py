@@ -17,6 +17,7 @@ import casadi as ca
 from fkgen.problem.equations import Equations, Increment
 from fkgen.problem.functions.affine import affine_parts
 from fkgen.problem.signals import Signal
+from fkgen.problem.text.expression import Expression, decisive
 from fkgen.symbolic.lifting import rotations
 from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import column, reduced, sparse
@@ -40,6 +41,9 @@ class Lifted:
     C: ca.SX  # C, D: (p, ne), (p, q), of h by x and u
     D: ca.SX
     variances: ca.SX  # (r, 1), of w
+    #: What f and what h decides by, columns: a comparison with NaN would be false, and tell nobody
+    moved_by: ca.SX
+    seen_by: ca.SX
     attitudes: tuple[int, ...]  # where quaternions begin in x
     angles: tuple[int, ...]  # numbers of errors that are differences of angles
     wraps: tuple[int, ...]  # rows of y that are angles
@@ -121,7 +125,10 @@ class _Lifting:
         moved, A, B, G = self._motion()
         stirred = sparse(self._written_out(moved))
         found = [moved, seen, A, B, G, self._by_state(seen), ca.jacobian(seen, self.u)]
-        moved, seen, A, B, G, C, D = (self._without_noise(each) for each in found)
+        motion = [part for f in equations.f for part in (f.by if isinstance(f, Increment) else [f])]
+        found += [self._decisions(equations.for_f, motion)]
+        found += [self._decisions(equations.for_h, equations.h)]
+        moved, seen, A, B, G, C, D, moved_by, seen_by = map(self._without_noise, found)
         parts = places(self.x.numel(), equations.attitudes)
         variances = [lift_expression(noise.variance, self.values) for noise in equations.noises]
         if equations.period is not None:  # noises are held over a sample, and stated as densities
@@ -143,11 +150,21 @@ class _Lifting:
             C=C,
             D=D,
             variances=column(variances),
+            moved_by=moved_by,
+            seen_by=seen_by,
             attitudes=equations.attitudes,
             angles=angles,
             wraps=wraps,
             plain=(affine[0] and not angles, affine[1] and not wraps),
         )
+
+    def _decisions(
+        self, let: Sequence[tuple[str, Expression]], trees: Sequence[Expression]
+    ) -> ca.SX:
+        """What trees decide by, but for what is a number of x, u or the parameters."""
+        known = dict.fromkeys(e for tree in (*(t for _, t in let), *trees) for e in decisive(tree))
+        values = [lift_expression(each, self.values) for each in known]
+        return column([each for each in values if not (each.is_constant() or each.is_leaf())])
 
     def _without_noise(self, value: ca.SX) -> ca.SX:
         """A value at w = 0, its entries of R written out."""
