@@ -13,7 +13,7 @@ import jinja2
 
 WIDTH = 100
 #: Longest list of units that is written out.
-_LONGEST = 60
+_LONGEST = 55
 
 #: Where a statement may go on in the next line: after a comma or an operator, before a question.
 _JOINTS = re.compile(r"(?<=,) |(?<=\+) |(?<=&&) |(?<=\|\|) |(?<==) | (?=[?:] )")

@@ -50,15 +50,9 @@
  *   b[1] = q.R:11 * north + q.R:21 * let.b:1
  *   b[2] = q.R:12 * north + q.R:22 * let.b:1
  *   f: q = q * [turn[0] - 0.105 * bias[0], turn[1] - 0.105 * bias[1], turn[2] - 0.105 * bias[2]]
- *   f: bias_x = bias_x
- *   f: bias_y = bias_y
- *   f: bias_z = bias_z
  *   f: v_e = v_e + dv[0]
  *   f: v_n = v_n + dv[1]
  *   f: v_u = v_u + dv[2] - 1.03005
- *   f: m_x = m_x
- *   f: m_y = m_y
- *   f: m_z = m_z
  *   h: still_e = v_e
  *   h: still_n = v_n
  *   h: still_u = v_u
@@ -76,7 +70,6 @@
  *   R = diag(0.0952, 0.0952, 0.0952, 15.21, 15.21, 15.21, 1.22e-05, 1.22e-05, 1.22e-05)
  *       [m/s, m/s, m/s, uT, uT, uT, rad/s, rad/s, rad/s] squared
  *   x0 = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
- *        [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT]
  *   P0 = diag(1.0, 1.0, 1.0, 1.22e-05, 1.22e-05, 1.22e-05, 0.01, 0.01, 0.01, 0.0225, 0.0225,
  *           0.0225)
  *
@@ -204,11 +197,9 @@ typedef struct
  *  ATTITUDE_P(i, j). */
 typedef struct
 {
-    double predicted_state[13]; /**< x(k+1|k): mean of the next state given y[0..k],
-                                     [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
+    double predicted_state[13]; /**< x(k+1|k): mean of the next state given y[0..k] */
     double predicted_covariance[78]; /**< P(k+1|k): its error covariance (symmetric 12 x 12) */
-    double filtered_state[13]; /**< x(k|k): mean of the state given y[0..k],
-                                    [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
+    double filtered_state[13]; /**< x(k|k): mean of the state given y[0..k] */
     double filtered_covariance[78]; /**< P(k|k): its error covariance (symmetric 12 x 12) */
     double innovation[9]; /**< y[k] minus its prediction; 0 where the row is missing,
                                [m/s, m/s, m/s, uT, uT, uT, rad/s, rad/s, rad/s] */
@@ -222,11 +213,9 @@ typedef struct
     double predicted_mode_probability[3]; /**< probability of each mode at k+1 given y[0..k] */
     double log_weight[3]; /**< logarithm of mode_probability */
     double predicted_log_weight[3]; /**< logarithm of predicted_mode_probability */
-    double mode_state[39]; /**< x(k+1|k), mixed, under each mode (3 x 13),
-                                [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
+    double mode_state[39]; /**< x(k+1|k), mixed, under each mode (3 x 13) */
     double mode_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12) */
-    double mode_filtered_state[39]; /**< x(k|k) under each mode (3 x 13),
-                                         [-, -, -, -, rad/s, rad/s, rad/s, m/s, m/s, m/s, uT, uT, uT] */
+    double mode_filtered_state[39]; /**< x(k|k) under each mode (3 x 13) */
     double mode_filtered_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } attitude_t;

@@ -23,6 +23,7 @@ WINDOW = 12
 FUNCTIONS = {name: getattr(math, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan")}
 FUNCTIONS |= {
     "atan2": math.atan2,
+    "hypot": math.hypot,
     "abs": abs,
     "diag": lambda *entries: np.diag(entries),
     "zeros": lambda rows, columns: np.zeros((rows, columns)),
@@ -55,6 +56,9 @@ def assert_stated(spec, header):
     parameters = {name: 1.25 * value for name, value in spec.defaults.items()}
     found = listings(header, parameters)
     letters = ["A", "B", "C", "D", "Q", "R", "x0", "P0"]
+    if spec.model.equations is not None:
+        letters = letters[4:]
+        assert_equations_stated(spec, header)
     if not spec.model.nu:
         letters = [letter for letter in letters if letter not in {"B", "D"}]
     assert [name for name, _ in found[: len(letters)]] == letters
@@ -67,6 +71,22 @@ def assert_stated(spec, header):
     if spec.faults.jump is not None:
         np.testing.assert_array_equal(stated["transition"], spec.faults.jump.transition)
         np.testing.assert_array_equal(stated["initial"], spec.faults.jump.initial)
+
+
+def assert_equations_stated(spec, header):
+    """The row of every output, with its value where it needs no definition."""
+    model, rng = spec.model, np.random.default_rng(3)
+    x, u = rng.uniform(1.0, 2.0, model.nx), rng.uniform(1.0, 2.0, model.nu)
+    seen = model.equations.seen(x, u, spec.defaults)
+    names = dict(zip(model.equations.states, x, strict=True)) | spec.defaults
+    names |= dict(zip(model.equations.inputs, u, strict=True)) | FUNCTIONS
+    for signal, expected in zip(model.outputs, seen, strict=True):
+        text = re.search(
+            rf"^ \*   h: {signal.name} = (.*(?:\n \*       .*)*)$", header, re.MULTILINE
+        )
+        words = set(re.findall(r"[A-Za-z_][\w.:]*", text[1]))
+        if words <= names.keys():
+            assert eval(text[1], {"__builtins__": {}}, names) == pytest.approx(expected)  # noqa: S307 - our text
 
 
 @pytest.mark.parametrize("name", SPECS)
