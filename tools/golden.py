@@ -69,9 +69,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="compare or update generated/")
     parser.add_argument("--update", action="store_true", help="write generated/ anew")
     if parser.parse_args().update:
+        new = current()  # all of it, before anything goes
         for folder in committed():
             shutil.rmtree(GENERATED / folder)
-        for folder, files in current().items():
+        for folder, files in new.items():
             (GENERATED / folder).mkdir(parents=True)
             for name, text in files.items():
                 (GENERATED / folder / name).write_text(text, encoding="utf-8", newline="\n")

@@ -10,6 +10,7 @@ from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import (
+    Call,
     CopyArray,
     CProgram,
     Element,
@@ -96,7 +97,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
-        "order": _order(c),
+        "order": _order(c, outlined),
         **_selftest(c),
     }
 
@@ -203,11 +204,16 @@ def _functions(c: Printer) -> dict[str, dict[str, Any]]:
     return functions
 
 
-def _order(c: Printer) -> dict[str, Any]:
+def _order(c: Printer, outlined: Outline) -> dict[str, Any]:
     """What the order of calls needs: calls of the phases, and ports that are carried over."""
+    calls = (call for body in outlined.bodies for call in every(Call, body))
+    handed_on = any(
+        e.space is Space.INPUT and e.name == "y" for each in calls for e in each.arguments
+    )
     program, given = c.program, {verb: _given(c, verb) for verb in c.program.verbs}
     updated, closing = program.written(program.update), program.closing
-    absent = {"y": "NULL", "present": "0u" if c.words == 1 else "none"}
+    # Part of y may be handed on, so there has to be one, although nothing reads it.
+    absent = {"y": "unread" if handed_on else "NULL", "present": "0u" if c.words == 1 else "none"}
     given["renew"] = given["correct"]
     given["pass"] = {name: text for name, text in given["correct"].items() if name not in absent}
 

@@ -23,7 +23,7 @@ def seen_from(
 ) -> tuple[Plant, ...]:
     """Plants with h, C and D at a state each; what they have in common is computed once."""
     found = _evaluated(builder, plants, states, u, (f"seen{tag}", ("seen", "C", "D", "seen_by")))
-    _demand_finite(builder, [own[i] for own in found if own is not None for i in (0, 3)])
+    demand_decided(builder, [own[i] for own in found if own is not None for i in (0, 3)])
     return tuple(
         plant if own is None else replace(plant, seen=own[0], C=own[1], D=own[2])
         for plant, own in zip(plants, found, strict=True)
@@ -39,7 +39,7 @@ def moved_from(
         demand_variances(builder, lifted)
     letters = ("moved", "A", "B", "G", "moved_by")
     found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
-    _demand_finite(builder, [own[4] for own in found if own is not None])
+    demand_decided(builder, [own[4] for own in found if own is not None])
     moved = []
     for plant, own in zip(plants, found, strict=True):
         if own is None or plant.lifted is None:
@@ -52,7 +52,7 @@ def moved_from(
     return tuple(moved)
 
 
-def _demand_finite(builder: PhaseBuilder, columns: Sequence[ca.SX]) -> None:
+def demand_decided(builder: PhaseBuilder, columns: Sequence[ca.SX]) -> None:
     """Refuse the sample where h, or what f and h decide by, has no value."""
     entries = (each[i] for each in columns for i in range(each.numel()))
     values = {value.element_hash(): value for value in entries}

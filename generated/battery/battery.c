@@ -2156,7 +2156,8 @@ static void battery_keep(const double *from, double *to, int size)
 static battery_status_t battery_pass(const battery_t *self, const battery_params_t *params,
     battery_t *next)
 {
-    return battery_correct(self, params, NULL, 0u, next);
+    static const double unread[BATTERY_NY] = { 0.0 };
+    return battery_correct(self, params, unread, 0u, next);
 }
 
 /* The instance before another update: the filtered estimate in the place of the prediction. */

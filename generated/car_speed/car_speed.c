@@ -532,7 +532,8 @@ static void car_speed_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static car_speed_status_t car_speed_pass(const car_speed_t *self, car_speed_t *next)
 {
-    return car_speed_correct(self, NULL, 0u, next);
+    static const double unread[CAR_SPEED_NY] = { 0.0 };
+    return car_speed_correct(self, unread, 0u, next);
 }
 
 /* The instance before another update: the filtered estimate in the place of the prediction. */

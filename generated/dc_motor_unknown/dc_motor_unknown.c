@@ -1040,7 +1040,8 @@ static void dc_motor_unknown_keep(const double *from, double *to, int size)
 static dc_motor_unknown_status_t dc_motor_unknown_pass(const dc_motor_unknown_t *self,
     const double *u, dc_motor_unknown_t *next)
 {
-    return dc_motor_unknown_correct(self, u, NULL, 0u, next);
+    static const double unread[DC_MOTOR_UNKNOWN_NY] = { 0.0 };
+    return dc_motor_unknown_correct(self, u, unread, 0u, next);
 }
 
 /* Correct the latest estimate. */

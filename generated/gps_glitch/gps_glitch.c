@@ -1326,7 +1326,8 @@ static void gps_glitch_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static gps_glitch_status_t gps_glitch_pass(const gps_glitch_t *self, gps_glitch_t *next)
 {
-    return gps_glitch_correct(self, NULL, 0u, next);
+    static const double unread[GPS_GLITCH_NY] = { 0.0 };
+    return gps_glitch_correct(self, unread, 0u, next);
 }
 
 /* The instance before another update: the filtered estimate in the place of the prediction. */

@@ -1460,7 +1460,8 @@ static void markov_jump_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static markov_jump_status_t markov_jump_pass(const markov_jump_t *self, markov_jump_t *next)
 {
-    return markov_jump_correct(self, NULL, 0u, next);
+    static const double unread[MARKOV_JUMP_NY] = { 0.0 };
+    return markov_jump_correct(self, unread, 0u, next);
 }
 
 /* Correct the latest estimate. */

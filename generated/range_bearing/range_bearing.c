@@ -1656,7 +1656,8 @@ static void range_bearing_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static range_bearing_status_t range_bearing_pass(const range_bearing_t *self, range_bearing_t *next)
 {
-    return range_bearing_correct(self, NULL, 0u, next);
+    static const double unread[RANGE_BEARING_NY] = { 0.0 };
+    return range_bearing_correct(self, unread, 0u, next);
 }
 
 /* The instance before another update: the filtered estimate in the place of the prediction. */

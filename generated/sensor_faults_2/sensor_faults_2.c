@@ -581,7 +581,8 @@ static void sensor_faults_2_keep(const double *from, double *to, int size)
 static sensor_faults_2_status_t sensor_faults_2_pass(const sensor_faults_2_t *self,
     sensor_faults_2_t *next)
 {
-    return sensor_faults_2_correct(self, NULL, 0u, next);
+    static const double unread[SENSOR_FAULTS_2_NY] = { 0.0 };
+    return sensor_faults_2_correct(self, unread, 0u, next);
 }
 
 /* Correct the latest estimate. */

@@ -1481,7 +1481,8 @@ static void ship_track_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static ship_track_status_t ship_track_pass(const ship_track_t *self, ship_track_t *next)
 {
-    return ship_track_correct(self, NULL, 0u, next);
+    static const double unread[SHIP_TRACK_NY] = { 0.0 };
+    return ship_track_correct(self, unread, 0u, next);
 }
 
 /* The instance before another update: the filtered estimate in the place of the prediction. */

@@ -1909,7 +1909,8 @@ static void wheel_drift_keep(const double *from, double *to, int size)
 /* Pass over sample k, of which no row was measured. */
 static wheel_drift_status_t wheel_drift_pass(const wheel_drift_t *self, wheel_drift_t *next)
 {
-    wheel_drift_status_t status = wheel_drift_correct(self, NULL, 0u, next);
+    static const double unread[WHEEL_DRIFT_NY] = { 0.0 };
+    wheel_drift_status_t status = wheel_drift_correct(self, unread, 0u, next);
     if ((status == WHEEL_DRIFT_OK) && !(next->window_left > 0.0))
     {
         status = wheel_drift_close_window(next, next);

@@ -42,7 +42,7 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.linearise import demand_variances, seen_from
+from fkgen.symbolic.linearise import demand_decided, demand_variances, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -164,6 +164,7 @@ def _seen(
         by = [lifted.x, lifted.u]
         places = builder.name_distinct("point", each)
         sent = [ca.substitute([lifted.seen], by, [x, u])[0] for x in places]
+        demand_decided(builder, [ca.substitute([lifted.seen_by], by, [x, u])[0] for x in places])
         values = builder.name_distinct("seen", sent)
     with builder.titled("moments of y"):
         mean = points.mean(values)
@@ -217,8 +218,10 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: flo
         each = [box_plus(x, e[:n], plant.attitudes) for e in points.errors]
         by = [lifted.x, lifted.u, lifted.w]
         places = zip(builder.name_distinct("point", each), points.errors, strict=True)
-        given = [[state, u, ca.densify(e[n:])] for state, e in places]
+        drawn = lifted.w.numel()
+        given = [[x, u, ca.densify(e[n:]) if drawn else lifted.w] for x, e in places]
         sent = [ca.substitute([lifted.stirred], by, values)[0] for values in given]
+        demand_decided(builder, [ca.substitute([lifted.moved_by], by, v)[0] for v in given])
         values = builder.name_distinct("moved", sent)
     first = values[0]
     with builder.titled("moments of the next state"):
