@@ -269,7 +269,7 @@ def without_spread(w, parts, _):
 
 
 def test_a_mixture_without_the_spread_of_its_means_is_refused(monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.bank.mixture_covariance", without_spread)
+    monkeypatch.setattr("fkgen.estimators.models.merge.mixture_covariance", without_spread)
     assert refused(recursion("mme"))
 
 
