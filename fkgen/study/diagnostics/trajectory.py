@@ -196,9 +196,13 @@ class Window:
     deviation: Array  # (ne,): how well they alone determine each number; infinite if not
 
 
-def window_of(system: NonlinearSystem, x: Array, u: Array, start: int, count: int) -> Window:
-    """The window that begins with an estimate."""
+def window_of(
+    system: NonlinearSystem, x: Array, u: Array, start: int, count: int
+) -> Window | None:
+    """The window that begins with an estimate; None where f or h has no value in it."""
     stacked = seen_through(system, x, u, start, count)
+    if not np.isfinite(stacked).all():
+        return None
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
     _, singular, right = np.linalg.svd(stacked / scale, full_matrices=True)
@@ -215,17 +219,20 @@ def observability(model: Subject, path: Trajectory) -> None:
     """Directions that windows of measurements leave open, and those of which they say little."""
     system, units = path.systems[0], np.sqrt(np.diag(model.P0).clip(0.0))
     state = path.filtered[0]
-    found = [window_of(system, state[k], path.u, k, path.length) for k in path.windows()]
+    every = (window_of(system, state[k], path.u, k, path.length) for k in path.windows())
+    found = [window for window in every if window is not None]
+    if not found:  # what that comes from is a finding of its own
+        return
     best = np.min([each.deviation for each in found], axis=0)
     model.put("observation_sd", model.states, best)
     blind = [each for each in found if len(each.open)]
     model.values["unobservable_windows"] = float(len(blind))
     facts = {"length": path.length, "of": path.drive.of, "windows": len(found)}
     if blind:
-        every = len(blind) == len(found)
-        sign = 1 if every else -1  # what no window shows, or what some do not
+        always = len(blind) == len(found)
+        sign = 1 if always else -1  # what no window shows, or what some do not
         worst = min(blind, key=lambda each: (sign * len(each.open), each.start))
-        code = "unobservable.trajectory" if every else "unobservable.sometimes"
+        code = "unobservable.trajectory" if always else "unobservable.sometimes"
         starts = listed([str(each.start) for each in blind[:4]])
         more = " ..." * (len(blind) > 4)
         names = _direction(model, worst.open, units)

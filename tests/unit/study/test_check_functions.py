@@ -429,3 +429,19 @@ def test_a_record_says_nothing_of_matrices():
     )
     with pytest.raises(fkgen.DataError, match="check: given a record; expected none"):
         fkgen.check(linear, y=np.zeros((5, 1)))
+
+
+def test_h_that_leaves_its_domain_is_a_finding_and_no_fault_of_linear_algebra():
+    model = {
+        "states": [{"name": "x"}],
+        "outputs": [{"name": "y"}],
+        "Q": [[0.1]],
+        "R": [[0.1]],
+        "x0": [0.8],
+        "P0": [[1.0]],
+        "f": {"x": "0.9*x"},
+        "h": {"y": "sqrt(x)"},
+    }
+    table = {"name": "leaves", "model": model, "filter": {"family": "ekf"}}
+    found = {each.code for each in fkgen.check(fkgen.Spec.from_dict(table)).findings}
+    assert "no_value" in found
