@@ -233,7 +233,7 @@ def choice(name: str, known: Sequence[str]) -> str:
 def probability(name: str, value: Any) -> float:
     """A probability strictly between 0 and 1."""
     try:
-        number = float(value)
+        number = math.nan if np.ma.is_masked(value) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0.0 < number < 1.0:

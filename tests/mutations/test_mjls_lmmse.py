@@ -105,9 +105,9 @@ def test_mistake_law_that_stands_still(monkeypatch):
 def test_mistake_in_the_noise_of_the_indicators(mistake, monkeypatch):
     right = jump.augmented_noise
 
-    def wrong(split, moved, noise):
-        still = right(split, [0 * each for each in moved], noise)
-        jumps = right(split, moved, noise) - still
+    def wrong(split, moved, *others):
+        still = right(split, [0 * each for each in moved], *others)
+        jumps = right(split, moved, *others) - still
         w = split.width
         if mistake == "diagonal":
             jumps[w : 2 * w, :w] = 0
@@ -120,8 +120,8 @@ def test_mistake_in_the_noise_of_the_indicators(mistake, monkeypatch):
 def test_mistake_noise_of_the_plant_missing_between_x_and_its_parts(monkeypatch):
     right = jump.augmented_noise
 
-    def wrong(split, moved, noise):
-        W = ca.SX(right(split, moved, noise))
+    def wrong(*given):
+        split, W = given[0], ca.SX(right(*given))
         W[split.own, : split.size - split.base.nx] = 0
         return W
 
