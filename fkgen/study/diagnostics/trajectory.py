@@ -196,9 +196,7 @@ class Window:
     deviation: Array  # (ne,): how well they alone determine each number; infinite if not
 
 
-def window_of(
-    system: NonlinearSystem, x: Array, u: Array, start: int, count: int
-) -> Window | None:
+def window_of(system: NonlinearSystem, x: Array, u: Array, start: int, count: int) -> Window | None:
     """The window that begins with an estimate; None where f or h has no value in it."""
     stacked = seen_through(system, x, u, start, count)
     if not np.isfinite(stacked).all():
