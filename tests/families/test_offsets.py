@@ -38,6 +38,9 @@ WHITE = {"problem": 1, "gamma_rate": 0.7, "delta_nominal_rate": 0.8}
 #: Faults and options of every family, in every form in which offsets are written anew.
 CASES = {
     "kf": ("kf", {}, {}),
+    "ekf": ("ekf", {}, {}),
+    "iekf": ("iekf", {}, {}),
+    "ukf": ("ukf", {}, {}),
     "mkf": ("mkf", {"actuator": {"success_rate": 0.7}}, {}),
     "mme": ("mme", {"actuator": {}}, {"hypotheses": [0.3, 0.8]}),
     "genie": ("genie", {"sensor": SENSOR}, {}),
