@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -128,7 +129,7 @@ def _claimed(run: Run) -> Callable[[Spec, Record], Ports | None]:
     """The ports of a run, of a decision that is rounding's only what stands before it."""
 
     def expected(spec: Spec, record: Record) -> Ports | None:
-        found = run(spec, record)
+        found = dict(run(spec, record))
         for name in undecided(spec):
             found.pop(name, None)
         found.pop("doubt", None)
@@ -169,6 +170,7 @@ def of_equations(form: ClosedForm) -> ClosedForm:
 
 
 def _form(run: Run, claim: str, source: str, factor: float = 1.0) -> ClosedForm:
+    run = lru_cache(maxsize=1)(run)  # what is expected, and then how well, is asked of one record
     return ClosedForm(
         claim=claim, source=source, tolerance=_tolerated(run, factor), expected=_claimed(run)
     )
