@@ -73,7 +73,7 @@ def _equations(spec: Spec, equations: Equations) -> _Part:
 
 def _moving(model: Model, equations: Equations) -> Iterator[str]:
     """What each entry of f is about: an attitude that turns by an increment has one."""
-    turning, at = {each.at for each in equations.f if isinstance(each, Increment)}, 0
+    turning, at = equations.turning, 0
     for signal in model.states:
         parts = coordinates(signal)
         yield from (signal.name,) if at in turning else parts

@@ -89,13 +89,13 @@ class Equations:
     def trees(self) -> Iterator[Expression]:
         """Every tree of them."""
         yield from (tree for _, tree in self.let)
-        yield from self._motion
+        yield from trees_of(self.f)
         yield from self.h
 
     @property
-    def _motion(self) -> Iterator[Expression]:
-        for each in self.f:
-            yield from each.by if isinstance(each, Increment) else (each,)
+    def turning(self) -> frozenset[int]:
+        """Where the attitudes begin in x that f turns by an increment."""
+        return frozenset(each.at for each in self.f if isinstance(each, Increment))
 
     @property
     def plain_let(self) -> list[tuple[str, object]]:
@@ -111,7 +111,7 @@ class Equations:
     @property
     def for_f(self) -> tuple[Definition, ...]:
         """The definitions that f needs."""
-        return needed(self.let, self._motion)
+        return needed(self.let, trees_of(self.f))
 
     @property
     def for_h(self) -> tuple[Definition, ...]:
@@ -157,7 +157,7 @@ class Equations:
         """The values of f as it is written: of an increment three of them."""
         noise = {each.name: value for each, value in zip(self.noises, w, strict=True)}
         values = dict(parameters) | self._named(x, u) | noise
-        return _values(self.for_f, tuple(self._motion), values, arithmetic or ARRAYS)
+        return _values(self.for_f, trees_of(self.f), values, arithmetic or ARRAYS)
 
     def moved(
         self,
@@ -217,6 +217,13 @@ class Equations:
 
     def _named(self, x: Sequence[Any], u: Sequence[Any]) -> dict[str, Any]:
         return dict(zip(self.states, x, strict=True)) | dict(zip(self.inputs, u, strict=True))
+
+
+def trees_of(f: Iterable[Motion]) -> tuple[Expression, ...]:
+    """The trees in f."""
+    return tuple(
+        tree for each in f for tree in (each.by if isinstance(each, Increment) else (each,))
+    )
 
 
 def needed(let: Sequence[Definition], roots: Iterable[Expression]) -> tuple[Definition, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,8 @@ def errors_of(states: Sequence[Signal], truth: ArrayLike, estimate: ArrayLike) -
     if not any(each.wrap or each.manifold for each in states):
         return np.asarray(a - b)
     found: list[Array] = []
-    at = 0
-    for each in states:
-        size = 4 if each.manifold else 1
-        x, y = a[..., at : at + size], b[..., at : at + size]
-        at += size
+    for each, at, _ in _places(states):
+        x, y = a[..., at], b[..., at]
         if each.manifold:
             found.append(_between(y, x))
         else:
@@ -43,17 +40,23 @@ def moved_by(states: Sequence[Signal], x: ArrayLike, errors: ArrayLike) -> Array
     """The states that lie off by errors (..., ne) from states (..., nx)."""
     origin, d = np.asarray(x, np.float64), np.asarray(errors, np.float64)
     found: list[Array] = []
-    at = of = 0
-    for each in states:
-        size, part = (4, 3) if each.manifold else (1, 1)
-        value, off = origin[..., at : at + size], d[..., of : of + part]
+    for each, at, of in _places(states):
+        value, off = origin[..., at], d[..., of]
         if each.manifold:
             q = turned(numbers_of(value), numbers_of(off), ARRAYS)
             found.append(np.stack(normalised(q, ARRAYS), axis=-1))
         else:
             found.append(value + off)
-        at, of = at + size, of + part
     return np.concatenate(found, axis=-1)
+
+
+def _places(states: Sequence[Signal]) -> Iterator[tuple[Signal, slice, slice]]:
+    """Every state with its places among the numbers of x and among those of errors."""
+    at = of = 0
+    for each in states:
+        size, part = (4, 3) if each.manifold else (1, 1)
+        yield each, slice(at, at + size), slice(of, of + part)
+        at, of = at + size, of + part
 
 
 def numbers_of(vectors: Array) -> tuple[Array, ...]:
@@ -67,14 +70,12 @@ def error_sizes(states: Sequence[Signal], sizes: Array) -> Array:
     A quaternion that is off by e in its largest number turns by 2 e.
     """
     found: list[Array] = []
-    at = 0
-    for each in states:
+    for each, at, _ in _places(states):
         if each.manifold:
-            turn = 2.0 * sizes[..., at : at + 4].max(axis=-1, keepdims=True)
+            turn = 2.0 * sizes[..., at].max(axis=-1, keepdims=True)
             found += [turn] * 3
         else:
-            found.append(sizes[..., at : at + 1])
-        at += 4 if each.manifold else 1
+            found.append(sizes[..., at])
     return np.concatenate(found, axis=-1)
 
 

@@ -16,7 +16,7 @@ from fkgen.oracle.plants.dual import Dual, Number, value_of
 from fkgen.oracle.plants.manifold import Kind, Space
 from fkgen.oracle.plants.nonlinear import Flow, NonlinearSystem, by_functions
 from fkgen.problem import Matrix, Model, Signal, Spec, evaluate
-from fkgen.problem.equations import Equations, Increment
+from fkgen.problem.equations import Equations
 
 #: Functions of the expression language that NumPy has by another name.
 _RENAMED = {"asin": "arcsin", "acos": "arccos", "atan2": "arctan2", "min": "minimum"}
@@ -115,9 +115,8 @@ def system_of(
 
 def _increments(equations: Equations, space: Space) -> frozenset[int]:
     """The attitudes that f turns by a rotation vector."""
-    starts = {each.at for each in equations.f if isinstance(each, Increment)}
     pieces = enumerate(space.pieces())
-    return frozenset(signal for signal, (_, at, _) in pieces if at.start in starts)
+    return frozenset(signal for signal, (_, at, _) in pieces if at.start in equations.turning)
 
 
 def _flow(equations: Equations, parameters: tuple[Mapping[str, Any], ...]) -> Flow | None:

@@ -20,7 +20,14 @@ from fkgen.oracle.plants.nonlinear import NonlinearSystem
 from fkgen.oracle.plants.sensor import SensorLaw, gamma_delta
 from fkgen.oracle.textbook.mkf import patterns_of, scaled_pseudo_inverse
 from fkgen.oracle.textbook.nonlinear import Corrected, Extended, agreement
-from fkgen.oracle.textbook.switching import Lumping, log_of, normalised, silent_lumped, step_law
+from fkgen.oracle.textbook.switching import (
+    Lumping,
+    estimates,
+    log_of,
+    normalised,
+    silent_lumped,
+    step_law,
+)
 
 Ports = dict[str, Array]
 Row = dict[str, ArrayLike]
@@ -88,7 +95,7 @@ def textbook_interacting(modes: Modes, y: Array, u: Array) -> Ports:
         estimate = space.mixture(np.exp(log_posterior), *_stacked(filtered))
         said = modes.said(k, log_held)
         ahead = space.mixture(np.exp(said), *_stacked(held))
-        row |= _estimates(estimate, ahead, log_posterior, said)
+        row |= estimates(estimate, ahead, log_posterior, said)
         for when, each in (("mode_filtered", filtered), ("mode", held)):
             names = (f"{when}_state", f"{when}_covariance")
             row |= dict(zip(names, _stacked(each), strict=True))
@@ -125,7 +132,7 @@ def textbook_gpb1(
         estimate = space.moved(x, mean), T @ merged @ T.T
         ahead = _moved(filters[0], k, estimate, u[k])
         log_held = step_law(log_posterior, modes.lumping.kernels[k])
-        rows.append(row | _estimates(estimate, ahead, log_posterior, modes.said(k, log_held)))
+        rows.append(row | estimates(estimate, ahead, log_posterior, modes.said(k, log_held)))
         x, priors = ahead[0], [ahead[1]] * len(filters)
         if covariance.startswith("paper"):  # (7) to the letter: as if delta were the only fault
             delta = [0, 0, 0, 0] if covariance == "paper_nominal" else [0, 1, 0, 1]
@@ -248,18 +255,6 @@ def _moved(each: Extended, k: int, estimate: Gaussian, u: Array) -> Gaussian:
 def _stacked(estimates: Sequence[Gaussian]) -> Gaussian:
     """States (N, nx) and covariances (N, ne, ne)."""
     return np.array([x for x, _ in estimates]), np.array([P for _, P in estimates])
-
-
-def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Row:
-    """The ports of one sample: x(k|k), x(k+1|k), and the law of the mode at k and k + 1."""
-    return {
-        "filtered_state": estimate[0],
-        "filtered_covariance": estimate[1],
-        "predicted_state": ahead[0],
-        "predicted_covariance": ahead[1],
-        "mode_probability": np.exp(log_posterior),
-        "predicted_mode_probability": np.exp(log_held),
-    }
 
 
 def _ports(rows: list[Row]) -> Ports:

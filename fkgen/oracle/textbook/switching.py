@@ -66,9 +66,7 @@ def textbook_one_step(
             _, E = _gain(C[delta], R[delta], before[delta], now)
             P = A @ E @ before[delta] @ A.T + Q
         log_held = step_law(log_posterior, modes.transitions[k])
-        rows.append(
-            {**row, **_estimates(estimate, ahead, log_posterior, _said(modes, k, log_held))}
-        )
+        rows.append({**row, **estimates(estimate, ahead, log_posterior, _said(modes, k, log_held))})
     return OneStepResult.of(rows)
 
 
@@ -115,7 +113,7 @@ def interacting(
         held = (A @ x[..., None])[..., 0] + B @ u[k] + c, A @ P @ A.transpose(0, 2, 1) + Q
         estimate = mixture(np.exp(log_posterior), *filtered)
         said = _said(system, k, log_held)
-        row |= _estimates(estimate, mixture(np.exp(said), *held), log_posterior, said)
+        row |= estimates(estimate, mixture(np.exp(said), *held), log_posterior, said)
         row |= {"mode_filtered_state": filtered[0], "mode_filtered_covariance": filtered[1]}
         rows.append(row | {"mode_state": held[0], "mode_covariance": held[1]})
     return InteractingResult.of(rows)
@@ -194,7 +192,7 @@ def _said(system: JumpSystem, k: int, log_held: Array) -> Array:
     return log_held if system.announced is None else log_of(system.announced[k])
 
 
-def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:
+def estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:
     """The ports of one sample: x(k|k), x(k+1|k), and the law of the mode at k and k + 1."""
     return {
         "filtered_state": estimate[0],

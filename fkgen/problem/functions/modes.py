@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from fkgen.problem.equations import Equations, Increment, Motion
+from fkgen.problem.equations import Equations, Increment, Motion, trees_of
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import Named
 from fkgen.problem.functions.reading import (
@@ -15,7 +15,6 @@ from fkgen.problem.functions.reading import (
     read_definitions,
     read_measurement,
     read_motion,
-    trees_of,
 )
 from fkgen.problem.table.section import Section
 from fkgen.problem.text.expression import (

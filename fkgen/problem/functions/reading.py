@@ -7,7 +7,15 @@ from functools import partial
 from typing import Any, get_args
 
 from fkgen.errors import InternalError
-from fkgen.problem.equations import Definition, Equations, Increment, Integrator, Motion, needed
+from fkgen.problem.equations import (
+    Definition,
+    Equations,
+    Increment,
+    Integrator,
+    Motion,
+    needed,
+    trees_of,
+)
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import REFUSED, Named
 from fkgen.problem.functions.sources import checked, is_source, read_source, trees
@@ -219,11 +227,6 @@ def kept(known: Known, trees: Sequence[Expression]) -> tuple[Definition, ...]:
     own = [tree for name, tree in known.let if not HIDDEN.fullmatch(name)]
     found = {name for name, _ in needed(known.let, [*trees, *own])}
     return tuple(each for each in known.let if each[0] in found or not HIDDEN.fullmatch(each[0]))
-
-
-def trees_of(f: Sequence[Motion]) -> list[Expression]:
-    """The trees in f."""
-    return [tree for each in f for tree in (each.by if isinstance(each, Increment) else (each,))]
 
 
 def read_motion(

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.problem.equations import ARRAYS, Arithmetic, Equations, Increment
+from fkgen.problem.equations import ARRAYS, Arithmetic, Equations, trees_of
 from fkgen.problem.functions.named import Named
-from fkgen.problem.functions.reading import trees_of
 from fkgen.problem.signals import Signal
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.text.expression import COMPARISONS, Expression, to_text
@@ -76,10 +75,9 @@ def _fault(
 
 def _keys(signal: Signal, equations: Equations) -> list[str]:
     """The key of a state, once for each row of f that it has."""
-    turns = {each.at for each in equations.f if isinstance(each, Increment)}
     count = 1
     if signal.manifold:
-        count = 3 if equations.states.index(f"{signal.name}[0]") in turns else 4
+        count = 3 if equations.states.index(f"{signal.name}[0]") in equations.turning else 4
     return [f"f.{signal.name}"] * count
 
 

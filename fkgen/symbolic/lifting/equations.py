@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.problem.equations import Equations, Increment
+from fkgen.problem.equations import Equations, Increment, trees_of
 from fkgen.problem.functions.affine import affine_parts
 from fkgen.problem.signals import Signal
 from fkgen.problem.text.expression import Expression, decisive
@@ -125,8 +125,7 @@ class _Lifting:
         moved, A, B, G = self._motion()
         stirred = sparse(self._written_out(moved))
         found = [moved, seen, A, B, G, self._by_state(seen), ca.jacobian(seen, self.u)]
-        motion = [part for f in equations.f for part in (f.by if isinstance(f, Increment) else [f])]
-        found += [self._decisions(equations.for_f, motion)]
+        found += [self._decisions(equations.for_f, trees_of(equations.f))]
         found += [self._decisions(equations.for_h, equations.h)]
         moved, seen, A, B, G, C, D, moved_by, seen_by = map(self._without_noise, found)
         parts = places(self.x.numel(), equations.attitudes)
@@ -208,14 +207,12 @@ class _Lifting:
         """The same from sample to sample: an increment turns the errors by itself."""
         moved: list[ca.SX] = []
         rows: list[list[ca.SX]] = []
-        at = error = 0
-        values = iter(stated)
-        for part in places(self.x.numel(), self.equations.attitudes):
-            at, error, turns = part
+        values, turning = iter(stated), self.equations.turning
+        for at, error, turns in places(self.x.numel(), self.equations.attitudes):
             if not turns:
                 moved.append(next(values))
                 rows.append(self._derivatives(moved[-1]))
-            elif any(isinstance(e, Increment) and e.at == at for e in self.equations.f):
+            elif at in turning:
                 by = next(values)
                 turn = rotations.exponential(by)
                 moved.append(rotations.renewed(rotations.product(self.x[at : at + 4], turn)))
