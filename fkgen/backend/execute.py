@@ -11,12 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
-from fkgen.symbolic.index import Index, value
+from fkgen.symbolic.index import Index, entries, value
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -231,6 +232,8 @@ class _Code:
                 return self._condition(node)
             case ir.For():
                 return self._loop(node)
+            case ir.Product():
+                return self._product(node)
         raise InternalError(f"no execution of {node}")
 
     def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
@@ -265,6 +268,31 @@ class _Code:
             else:
                 holds = any(present) if row is None else present[value(row, variables)]
             return body(cells, variables, present) if holds else None
+
+        return run
+
+    def _product(self, node: ir.Product) -> _Statement:
+        at = entries(node.rows, node.columns, lower=node.lower)
+
+        def places(element: ir.Element) -> list[NDArray[np.intp]]:
+            home = self._cell(element)[0] - (0 if element.moves else element.index or 0)
+            every = (value(element.index or 0, {**at, "k": k}) for k in range(node.inner))
+            return [home + np.broadcast_to(each, at["i"].shape) for each in every]
+
+        left, right, target = places(node.left), places(node.right), places(node.target)[0]
+        begin = None if node.start is None else places(node.start)[0]
+        add = self.machine.arithmetic[Operator.SUB if node.less else Operator.ADD]
+        multiply = self.machine.arithmetic[Operator.MUL]
+
+        def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
+            now = np.array(cells, object)
+            found = None if begin is None else now[begin]
+            for a, b in zip(left, right, strict=True):
+                term = multiply(now[a], now[b])
+                found = term if found is None else add(found, term)
+            for cell, each in zip(target, found, strict=True):
+                cells[cell] = each
+            return None
 
         return run
 
