@@ -260,6 +260,22 @@ class Product:
 
 
 @dataclass(frozen=True, slots=True)
+class Triangle:
+    """``target[i, j] = source[i, j]`` for j <= i < size; ``mirrored``: ``target[j, i]`` as well."""
+
+    target: Element
+    source: Element
+    size: int
+    mirrored: bool
+
+    @property
+    def loops(self) -> tuple[For, ...]:
+        """What its indices run over: both do everywhere where it is mirrored."""
+        columns: Whole = self.size if self.mirrored else variable("i") + 1
+        return For("i", 0, self.size, ()), For("j", 0, columns, ())
+
+
+@dataclass(frozen=True, slots=True)
 class Heading:
     """What the following statements do."""
 
@@ -282,7 +298,8 @@ class Call:
 
 Condition = IfPresent | IfPositive
 Nested = Condition | For
-Statement = Operate | Copy | CopyArray | Assign | Require | Nested | Product | Heading | Call
+OfMatrices = Product | Triangle
+Statement = Operate | Copy | CopyArray | Assign | Require | Nested | OfMatrices | Heading | Call
 Body = tuple[Statement, ...]
 
 
@@ -510,6 +527,7 @@ _PARTS: dict[type, tuple[str, ...]] = {
     IfPositive: ("value", "body"),
     For: ("body",),
     Product: ("start", "left", "right", "target"),
+    Triangle: ("source", "target"),
     Call: ("arguments", "constants", "tables", "rows"),
     Heading: (),
 }
@@ -568,7 +586,7 @@ def _times(loops: tuple[For, ...], known: Mapping[str, int]) -> int:
 def inside(body: Body, loops: tuple[For, ...] = ()) -> Iterator[tuple[Statement, tuple[For, ...]]]:
     """Every statement, and the loops that it is in, the outermost first."""
     for node in body:
-        yield node, (*loops, *node.loops) if isinstance(node, Product) else loops
+        yield node, (*loops, *node.loops) if isinstance(node, OfMatrices) else loops
         if isinstance(node, Nested):
             around = (*loops, node) if isinstance(node, For) else loops
             yield from inside(node.body, around)

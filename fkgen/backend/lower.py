@@ -165,16 +165,15 @@ class _Lowering:
     title: str = ""
     groups: list[_Group] = field(default_factory=list)
 
-    def take(self, block: sym.Block | sym.Loop | sym.Product) -> None:
+    def take(self, block: sym.Block | sym.Loop | sym.OfMatrices) -> None:
         """Append a block, loop or product; those in a row under one condition share it."""
         title = f"{block.section}: {block.title}" if block.section else block.title
         if title and title != self.title:
             self.groups.append(_Group(None, block.section, statements=[ir.Heading(title)]))
             self.title = title
-        if isinstance(block, sym.Product):
-            self.groups.append(
-                _Group(None, block.section, statements=[self._product(block)], begins=[0])
-            )
+        if isinstance(block, sym.OfMatrices):
+            node = self._product(block) if isinstance(block, sym.Product) else self._triangle(block)
+            self.groups.append(_Group(None, block.section, statements=[node], begins=[0]))
             return
         last = self.groups[-1] if self.groups else None
         if last is None or last.section != block.section or not _same(last.condition, block.when):
@@ -205,6 +204,12 @@ class _Lowering:
             less=product.less,
             lower=product.lower,
         )
+
+    def _triangle(self, triangle: sym.Triangle) -> ir.Triangle:
+        """A copy of a symmetric matrix to a local."""
+        target = self._element(triangle.target, 0, read=False)
+        source = self._element(triangle.source, 0, read=True)
+        return ir.Triangle(target, source, triangle.size, triangle.mirrored)
 
     def _loop(self, loop: sym.Loop) -> ir.For:
         """A loop with its blocks in groups of their own."""
@@ -407,7 +412,7 @@ def _check_places(name: str, phase: ir.Phase, sizes: Mapping[str, int]) -> None:
                 raise InternalError(f"{name}: {each} is read before it is written")
         if isinstance(node, Operate | Copy):
             home[node.target] = loops
-        if isinstance(node, ir.Assign | ir.Product):
+        if isinstance(node, ir.Assign | ir.OfMatrices):
             begun.add(node.target.name)
         _check_indices(name, node, loops, sizes)
 
@@ -426,7 +431,7 @@ def _check_indices(
                 raise InternalError(f"{name}: two loops over {index}, one in the other")
         case ir.IfPresent(row):
             asked.append(row)
-        case ir.Assign(target) | ir.Product(target) if target.moves:
+        case ir.Assign(target) | ir.Product(target) | ir.Triangle(target) if target.moves:
             elements.append(target)
             asked.append(target.index)
     if unknown := {*names_in(*asked)} - known:

@@ -145,6 +145,8 @@ class StatementPrinter:
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
             case ir.Product():
                 return self._product(node)
+            case ir.Triangle():
+                return self._triangle(node)
             case ir.Call():
                 return self._call(node)
         return f"\n/* {node.text} */"
@@ -197,6 +199,16 @@ class StatementPrinter:
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
+
+    def _triangle(self, node: ir.Triangle) -> str:
+        """A call of one of the two functions between packed symmetric matrices and whole ones."""
+        whole = node.target if node.mirrored else node.source
+        first, second = (
+            self._address(replace(element, index=_first(element)))
+            for element in (node.source, node.target)
+        )
+        name = f"{self.name}_{'unpack' if node.mirrored else 'pack'}"
+        return f"{name}({first}, {second}, {_step(whole, 'i')}, {node.size});"
 
     def _product(self, node: ir.Product) -> str:
         """A call of the function for products; what is read element by element has two strides."""

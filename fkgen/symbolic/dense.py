@@ -109,26 +109,15 @@ def unpacked(builder: PhaseBuilder, name: str, covariance: ca.SX, size: int) -> 
     """A packed symmetric matrix with all of its entries."""
     source = builder.array(f"{PREFIX}{name}_of_{size}", covariance)
     found = room(builder, name, size, size)
-    with builder.loop("i", 0, size) as i, builder.loop("j", 0, i + 1) as j:
-        builder.assign({found.at(i, j): builder.at(source, packed(i, j))})
-    mirror(builder, found)
+    builder.triangle(found.at(_I, _J), At(source, packed(_I, _J)), size, mirrored=True)
     return found
-
-
-def mirror(builder: PhaseBuilder, matrix: Dense) -> None:
-    """Write the entries above the diagonal from those below."""
-    with builder.loop("i", 1, matrix.rows) as i, builder.loop("j", 0, i) as j:
-        value = matrix.at(i, j)
-        builder.assign({matrix.at(j, i): builder.at(value.name, value.index)})
 
 
 def as_packed(builder: PhaseBuilder, name: str, matrix: Dense) -> ca.SX:
     """The lower triangle of a symmetric matrix, packed, in a variable of its own."""
     size = matrix.rows
     found = builder.local(name, size * (size + 1) // 2)
-    with builder.loop("i", 0, size) as i, builder.loop("j", 0, i + 1) as j:
-        value = matrix.at(i, j)
-        builder.assign({At(name, packed(i, j)): builder.at(value.name, value.index)})
+    builder.triangle(At(name, packed(_I, _J)), matrix.at(_I, _J), size, mirrored=False)
     return found
 
 

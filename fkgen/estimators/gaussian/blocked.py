@@ -171,9 +171,7 @@ class BlockedUpdate:
         """P - W' G, packed."""
         builder, m = self.builder, self.prior[0].numel()
         left = room(builder, "corrected", m, m)
-        multiply(
-            builder, left, self.weighted.T, self.cross, self.covariance, less=True, lower=True
-        )
+        multiply(builder, left, self.weighted.T, self.cross, self.covariance, less=True, lower=True)
         return as_packed(builder, f"covariance{self.tag}", left)
 
     def gain(self) -> Dense:
