@@ -304,10 +304,10 @@ class _Code:
 
         def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
             now = np.array(cells, object)
-            found = None if begin is None else now[begin]
-            for a, b in zip(left, right, strict=True):
-                term = multiply(now[a], now[b])
-                found = term if found is None else add(found, term)
+            terms = (multiply(now[a], now[b]) for a, b in zip(left, right, strict=True))
+            found = next(terms) if begin is None else now[begin]
+            for term in terms:
+                found = add(found, term)
             for cell, each in zip(target, found, strict=True):
                 cells[cell] = each
             return None

@@ -193,9 +193,11 @@ class _Lowering:
 
     def _product(self, product: sym.Product) -> ir.Product:
         """A product, whose target is a local."""
+        begin = product.start
+        start = None if begin is None else self._element(begin, 0, read=True)
         return ir.Product(
             target=self._element(product.target, 0, read=False),
-            start=product.start and self._element(product.start, 0, read=True),
+            start=start,
             left=self._element(product.left, 0, read=True),
             right=self._element(product.right, 0, read=True),
             rows=product.rows,

@@ -22,6 +22,7 @@ from fkgen.backend.ir import (
     Triangle,
     every,
     read,
+    walk,
 )
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
@@ -101,7 +102,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
-        "products": any(node for body in outlined.bodies for node in every(OfMatrices, body)),
+        "products": any(isinstance(n, OfMatrices) for body in outlined.bodies for n in walk(body)),
         "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),

@@ -148,11 +148,14 @@ def _multiply(product: Product, values: dict[str, Array]) -> bool:
 
     at = entries(product.rows, product.columns, lower=product.lower)
     names = product.left, product.right
-    found = None if product.start is None else values[product.start.name][places(product.start)]
-    for k in range(product.inner):
-        term = operator.mul(*(values[each.name][places(each, k)] for each in names))
-        added = term if found is None or not product.less else -term
-        found = added if found is None else found + added
+    terms = (
+        operator.mul(*(values[each.name][places(each, k)] for each in names))
+        for k in range(product.inner)
+    )
+    begin = product.start
+    found = next(terms) if begin is None else values[begin.name][places(begin)]
+    for term in terms:
+        found = found - term if product.less else found + term
     values[product.target.name][places(product.target)] = found
     return True
 

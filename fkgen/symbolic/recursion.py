@@ -105,7 +105,7 @@ class Loop:
     index: str
     begin: Whole
     end: Whole
-    body: tuple[Block | Loop, ...]
+    body: tuple[Any, ...]  # of blocks and loops
     when: Condition | None = None
     reads: tuple[Target, ...] = ()
     section: str = ""
