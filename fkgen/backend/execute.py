@@ -14,6 +14,7 @@ import numpy as np
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
+from fkgen.backend.fused.rounding import fma
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
 from fkgen.symbolic.index import Index, value
@@ -24,6 +25,9 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.SUB: arithmetic.sub,
     Operator.MUL: arithmetic.mul,
     Operator.DIV: arithmetic.truediv,
+    Operator.FMA: fma,
+    Operator.FMS: lambda a, b, c: fma(a, b, -c),
+    Operator.FNMA: lambda a, b, c: fma(-a, b, c),
     Operator.NEG: arithmetic.neg,
     Operator.ABS: abs,
     Operator.MAX: lambda a, b: max(b, a),
@@ -240,6 +244,8 @@ class _Code:
         do, first = machine.arithmetic[operator], gets[0]
         if len(gets) == 1:
             return lambda cells, at: do(first(cells, at))
+        if len(gets) > 2:
+            return lambda cells, at: do(*[get(cells, at) for get in gets])
         second = gets[1]
         return lambda cells, at: do(first(cells, at), second(cells, at))
 

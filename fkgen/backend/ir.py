@@ -35,6 +35,10 @@ class Operator(Enum):
     SUB = "-"
     MUL = "*"
     DIV = "/"
+    #: a b + c, a b - c and c - a b, rounded once
+    FMA = "fma"
+    FMS = "fms"
+    FNMA = "fnma"
     NEG = "neg"
     ABS = "abs"
     MAX = "max"
@@ -68,6 +72,10 @@ class Operator(Enum):
 #: Operators that are functions in C.
 FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
+
+
+#: Operators that are a product and a sum in one rounding.
+FUSED = frozenset({Operator.FMA, Operator.FMS, Operator.FNMA})
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,6 +377,7 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+    fma: bool = False  # Whether it calls fma() of C
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -426,6 +435,11 @@ class CProgram:
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
         return _flops(self.update, self.predict)
+
+    @property
+    def fused(self) -> int:
+        """How many of them are a product and a sum in one."""
+        return sum(n for operator, n in self.operations.items() if operator in FUSED)
 
     @property
     def statements(self) -> int:

@@ -23,6 +23,8 @@ class Code:
     #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
     #: files beside it, the same for all filters of one program
     elementary: Copies = "static"
+    #: Whether products are rounded together with the sum they go into, by fma() of C
+    fma: bool = False
     #: The ports that C shows besides those that the recursion needs; all of them if None
     ports: tuple[str, ...] | None = None
 
@@ -30,6 +32,7 @@ class Code:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
         table |= {} if self.elementary == "static" else {"elementary": self.elementary}
+        table |= {"fma": True} if self.fma else {}
         return table if self.ports is None else table | {"ports": list(self.ports)}
 
     def shows(self, port: str) -> bool:
@@ -39,11 +42,12 @@ class Code:
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    section = Section(table, place, known=("scalar", "update", "elementary", "ports"))
+    section = Section(table, place, known=("scalar", "update", "elementary", "fma", "ports"))
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
         update=section.choice("update", get_args(Update), "auto"),
         elementary=section.choice("elementary", get_args(Copies), "static"),
+        fma=section.flag("fma", default=False),
         ports=_read_ports(section) if "ports" in section else None,
     )
 

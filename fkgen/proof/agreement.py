@@ -108,9 +108,10 @@ def _difference(found: Array, expected: Array) -> float:
 
 
 def with_interpreter(design: Validated) -> tuple[Claim, ...]:
-    """The compiled double code against CasADi: bit for bit, but for exp, log and the like."""
+    """The compiled double code against CasADi: bit for bit, but for exp, log, fma and the like."""
     if design.spec.code.scalar != "double":
-        code = Code(scalar="double", update=design.recursion.form or "short")
+        form, fma = design.recursion.form or "short", design.spec.code.fma
+        code = Code(scalar="double", update=form, fma=fma)
         design = validate(replace(design.spec, code=code))
     spec, record, source = design.spec, trial(design.spec), generate(design)
     run = _compiled(source, record)
@@ -156,6 +157,9 @@ def _names(ports: list[Port]) -> str:
 def _tolerances(spec: Spec, ports: Sequence[Port]) -> tuple[dict[str, float], str]:
     """How far each port may be from CasADi, and why."""
     names, models = [port.name for port in ports], spec.filter.traits.models
+    if spec.code.fma:
+        reason = "products are rounded together with their sums, which CasADi rounds one by one"
+        return dict.fromkeys(names, digits(spec)), reason
     if _goes_through_functions(spec):
         reason = "entries of the model go through fkgen's own functions, good to one ulp"
         return dict.fromkeys(names, digits(spec)), reason
