@@ -30,7 +30,7 @@ def _double(a: float, b: float, c: float) -> float:
     try:
         return total / (below * r_below)
     except OverflowError:
-        return math.copysign(math.inf, total)
+        return math.inf if total > 0 else -math.inf
 
 
 def _single(a: float, b: float, c: float) -> float:
