@@ -14,10 +14,12 @@ from fkgen.backend.ir import (
     CopyArray,
     CProgram,
     Element,
+    OfMatrices,
     Operator,
     Phase,
     Scalar,
     Space,
+    Triangle,
     every,
     read,
 )
@@ -40,6 +42,10 @@ _FUSING = {
     "float": "x86-64 with FMA (-mfma, -march=x86-64-v3), AArch64, Cortex-M4F, M7 and M33 with their"
     " floating-point units, RISC-V with F, POWER, s390x",
 }
+
+#: Rows of a triangle up to which its loops are written out by the compiler: mispredicted branches
+#: cost more than the copies.
+UNROLLED = 12
 
 _COMMENTS = {
     "correct": "Condition on y[k]",
@@ -104,11 +110,18 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
+        "products": any(node for body in outlined.bodies for node in every(OfMatrices, body)),
+        "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c, outlined),
         **_selftest(c),
     }
+
+
+def _sizes(outlined: Outline) -> Iterable[int]:
+    """Rows of the symmetric matrices that are packed and unpacked."""
+    return (node.size for body in outlined.bodies for node in every(Triangle, body))
 
 
 def _selftest(c: Printer) -> dict[str, object]:

@@ -41,6 +41,7 @@ class Plant:
     limits: tuple[ca.SX, ...] = ()  # What must not be negative where A, B, c and Q are computed
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
+    code_form: str  # Of the C code: "auto", "straight" or "loops"
     shows_variance: bool  # The covariance of the innovation is shown
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
@@ -99,6 +100,7 @@ def plant_of(spec: Spec) -> Plant:
         limits=tuple(wholes.limits),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
+        code_form=spec.code.form,
         shows_variance=spec.code.shows("innovation_covariance"),
         noise_free=_is_noise_free(model.R),
         wide=_is_wide(model.R) or _is_wide(model.P0),

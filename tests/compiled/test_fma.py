@@ -37,10 +37,12 @@ pytestmark = needs_compiler()
 
 SCALARS = ("double", "float")
 NONLINEAR = [f"{f}_{case}" for f in ("ekf", "iekf", "ukf") for case in ("attitude", "pendulum")]
-EVERY = [*spread.NAMES, *sensor_specs.EVERY, *NONLINEAR, "jump"]
+EVERY = [*spread.NAMES, *sensor_specs.EVERY, *NONLINEAR, "jump", "dense"]
 
 #: One of each family.
 FEW = [
+    ("dense", "double"),
+    ("dense", "float"),
     ("kf_correlated", "double"),
     ("kf_joseph", "float"),
     ("mkf_sensed", "double"),
@@ -68,6 +70,8 @@ def plant_of(name, scalar="double", *, fma=True):
     start, _, case = name.partition("_")
     if name in NONLINEAR:
         plant = nonlinear_specs.spec_of(case, start, code={"scalar": scalar})
+    elif name == "dense":  # products of matrices as statements
+        plant = spec(random_model(91, 9, 3, 1), family="kf", code={"scalar": scalar})
     elif name == "jump":
         table = random_table(71, 2, 2, 2, q=1, offsets=True, correlated=True)
         plant = spec_of(table | {"code": {"scalar": scalar}})
@@ -124,7 +128,7 @@ def test_compiled_c_is_the_program_as_data_bit_for_bit(name, scalar, compiler, m
             assert compiled.state(port).tobytes() == np.array(values).tobytes(), (port, k)
 
 
-@pytest.mark.parametrize("name", [name for name, _ in FEW])
+@pytest.mark.parametrize("name", dict.fromkeys(name for name, _ in FEW))
 def test_fused_products_change_the_last_digits_and_no_status(name):
     plant = plant_of(name)
     y, u, params = trial(plant)

@@ -3,7 +3,8 @@
 One rule: a product that one sum or difference uses, and nothing else, becomes part of it. Where
 both sides are such products the right one does, so that a sum of products in ascending order is a
 chain that begins with a product: fma(c, d, a b). The rule looks at the whole filter, before ports
-are left out: the bits of those that stay do not depend on it.
+are left out: the bits of those that stay do not depend on it. Sums of products of matrices are such
+chains already.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def _fused(body: ir.Body, uses: Counter[Temp]) -> ir.Body:
         node = each
         if isinstance(node, ir.Nested):
             node = replace(node, body=_fused(node.body, uses))
-        if isinstance(node, ir.Nested | ir.Assign):
+        elif isinstance(node, ir.Product):
+            node = replace(node, fused=True)
+        if isinstance(node, ir.Nested | ir.OfMatrices | ir.Assign):
             products.clear()
         elif isinstance(node, Operate):
             if node.operator is Operator.MUL and uses[node.target] == 1:

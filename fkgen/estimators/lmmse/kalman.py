@@ -179,7 +179,7 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             deviation_covariance=symbols[own],
             cross_covariance=from_rows(symbols[cross], r),
         )
-    state, covariance, through = propagate(plant, actuation, posterior)
+    state, covariance, through = propagate(builder, plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}
     if with_gain:
         gain = from_rows(symbols["filtered_gain"], plant.ne)

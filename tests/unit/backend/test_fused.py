@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
 
@@ -15,6 +16,7 @@ from fkgen.backend.fused.products import fused
 from fkgen.backend.fused.rounding import fma
 from fkgen.backend.ir import Assign, Element, IfPositive, Literal, Operate, Operator, Space, Temp
 from fkgen.backend.printer import Printer
+from fkgen.symbolic.index import variable
 
 #: Digits, least exponent of a unit in the last place, least exponent that overflows.
 FORMATS = {np.float64: (53, -1074, 1024), np.float32: (24, -149, 128)}
@@ -203,6 +205,17 @@ def test_no_product_moves_past_what_is_stored_or_into_a_condition():
 def test_products_under_conditions_are_fused_there():
     body = (PRODUCT, summed(Operator.ADD, C, FIRST), Assign(PORT, SUM))
     assert after(IfPositive(D, body)) == (IfPositive(D, after(*body)),)
+
+
+def test_every_further_term_of_a_product_of_matrices_is_fused():
+    i, j, k = map(variable, "ijk")
+    place = [Element(Space.LOCAL, name, at) for name, at in (("L", i + k), ("R", k + j))]
+    for start, less, first in ((None, False, 6), (PORT, False, 0), (PORT, True, 0)):
+        node = ir.Product(PORT, start, *place, 2, 3, 4, less=less, lower=False)
+        (found,) = after(node)
+        further = {Operator.FNMA if less else Operator.FMA: 24 - first}
+        assert found == replace(node, fused=True)
+        assert found.operators == Counter({Operator.MUL: first}) + Counter(further)
 
 
 # ---------------------------------------------------------------------------------- in text
