@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
+from fkgen.backend.fused.rounding import fma
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
 from fkgen.symbolic.index import Index, entries, value
@@ -26,6 +27,9 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.SUB: arithmetic.sub,
     Operator.MUL: arithmetic.mul,
     Operator.DIV: arithmetic.truediv,
+    Operator.FMA: fma,
+    Operator.FMS: lambda a, b, c: fma(a, b, -c),
+    Operator.FNMA: lambda a, b, c: fma(-a, b, c),
     Operator.NEG: arithmetic.neg,
     Operator.ABS: abs,
     Operator.MAX: lambda a, b: max(b, a),
@@ -246,6 +250,8 @@ class _Code:
         do, first = machine.arithmetic[operator], gets[0]
         if len(gets) == 1:
             return lambda cells, at: do(first(cells, at))
+        if len(gets) > 2:
+            return lambda cells, at: do(*[get(cells, at) for get in gets])
         second = gets[1]
         return lambda cells, at: do(first(cells, at), second(cells, at))
 
@@ -299,15 +305,18 @@ class _Code:
         )
         target = self._cells(node.target, at)
         begin = None if node.start is None else self._cells(node.start, at)
-        add = self.machine.arithmetic[Operator.SUB if node.less else Operator.ADD]
-        multiply = self.machine.arithmetic[Operator.MUL]
+        multiply, add = (self.machine.arithmetic[each] for each in (Operator.MUL, node.adding))
+        together: Callable[..., Any] = np.frompyfunc(add, 3, 1) if node.fused else add
 
         def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
             now = np.array(cells, object)
-            terms = (multiply(now[a], now[b]) for a, b in zip(left, right, strict=True))
-            found = next(terms) if begin is None else now[begin]
-            for term in terms:
-                found = add(found, term)
+            pairs = zip(left, right, strict=True)
+            found = multiply(*(now[each] for each in next(pairs))) if begin is None else now[begin]
+            for a, b in pairs:
+                if node.fused:
+                    found = together(now[a], now[b], found)
+                else:
+                    found = add(found, multiply(now[a], now[b]))
             for cell, each in zip(target, found, strict=True):
                 cells[cell] = each
             return None

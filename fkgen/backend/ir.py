@@ -35,6 +35,10 @@ class Operator(Enum):
     SUB = "-"
     MUL = "*"
     DIV = "/"
+    #: a b + c, a b - c and c - a b, rounded once
+    FMA = "fma"
+    FMS = "fms"
+    FNMA = "fnma"
     NEG = "neg"
     ABS = "abs"
     MAX = "max"
@@ -68,6 +72,10 @@ class Operator(Enum):
 #: Operators that are functions in C.
 FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
+
+
+#: Operators that are a product and a sum in one rounding.
+FUSED = frozenset({Operator.FMA, Operator.FMS, Operator.FNMA})
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +231,8 @@ class Product:
 
     Elements are indexed by ``i``, ``j`` and ``k``. Every sum is one chain in ascending order of k,
     from ``start`` or from its first product; ``less``: products are subtracted; ``lower``: entries
-    on and below the diagonal only.
+    on and below the diagonal only; ``fused``: every
+    further product is rounded together with the sum before it.
     """
 
     target: Element
@@ -235,6 +244,7 @@ class Product:
     inner: int
     less: bool
     lower: bool
+    fused: bool = False
 
     @property
     def loops(self) -> tuple[For, ...]:
@@ -254,9 +264,15 @@ class Product:
     def operators(self) -> Counter[Operator]:
         """Its operations."""
         added = self.terms - (self.terms // self.inner if self.start is None else 0)
-        return Counter(
-            {Operator.MUL: self.terms, (Operator.SUB if self.less else Operator.ADD): added}
-        )
+        apart = self.terms - added if self.fused else self.terms
+        return Counter({Operator.MUL: apart, self.adding: added})
+
+    @property
+    def adding(self) -> Operator:
+        """How a product comes to the sum before it."""
+        if self.fused:
+            return Operator.FNMA if self.less else Operator.FMA
+        return Operator.SUB if self.less else Operator.ADD
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,6 +444,7 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+    fma: bool = False  # Whether it calls fma() of C
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -485,6 +502,11 @@ class CProgram:
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
         return _flops(self.update, self.predict)
+
+    @property
+    def fused(self) -> int:
+        """How many of them are a product and a sum in one."""
+        return sum(n for operator, n in self.operations.items() if operator in FUSED)
 
     @property
     def statements(self) -> int:

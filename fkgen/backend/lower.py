@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from fkgen.backend import ir
+from fkgen.backend.fused.products import fused
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
 from fkgen.backend.size.guards import without_implied
@@ -67,20 +68,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     """Turn a recursion into the data of a C program, verified."""
     spec = recursion.spec
     model = spec.model
-    lowered: dict[str, Any] = {
-        name: lower_phase(recursion.ports, phase)
-        for name in ("update", "closing", "predict")
-        if (phase := getattr(recursion, name)) is not None
-    }
-    if recursion.start is not None:
-        lowered["start"] = lower_phase(recursion.ports, recursion.start, ("x", "P"))
-    ports = recursion.ports
-    if spec.code.ports is not None:
-        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
-        ports, lowered = selected(ports, lowered, shown)
-    if recursion.prior is not None:
-        lowered["origin"] = lower_phase(prior_ports(model), recursion.prior)
-    lowered = {name: without_implied(phase) for name, phase in lowered.items()}
+    ports, lowered = _phases(recursion)
     names, phases = {port.name for port in ports}, list(lowered.values())
     form: tuple[str, ...] = (
         () if recursion.form is None else (f"covariance update: {recursion.form} form",)
@@ -105,11 +93,32 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             initial=tuple(sorted((k, v) for k, v in recursion.initial.items() if k in names)),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
+            fma=spec.code.fma,
             stated=stated(spec, phases),
             **lowered,
             **_signals(model),
         )
     )
+
+
+def _phases(recursion: sym.Recursion) -> tuple[tuple[Port, ...], dict[str, Any]]:
+    """The ports that C has, and the phases by the names that `CProgram` has for them."""
+    spec, ports = recursion.spec, recursion.ports
+    lowered = {
+        name: lower_phase(ports, phase)
+        for name in ("update", "closing", "predict")
+        if (phase := getattr(recursion, name)) is not None
+    }
+    if recursion.start is not None:
+        lowered["start"] = lower_phase(ports, recursion.start, ("x", "P"))
+    origin = recursion.prior
+    prior = {} if origin is None else {"origin": lower_phase(prior_ports(spec.model), origin)}
+    if spec.code.fma:
+        lowered, prior = ({k: fused(v) for k, v in each.items()} for each in (lowered, prior))
+    if spec.code.ports is not None:
+        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
+        ports, lowered = selected(ports, lowered, shown)
+    return ports, {name: without_implied(phase) for name, phase in (lowered | prior).items()}
 
 
 def _signals(model: Model) -> dict[str, Any]:

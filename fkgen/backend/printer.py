@@ -39,6 +39,7 @@ class StatementPrinter:
         #: The largest finite number, and the smallest normal one
         kind = "DBL" if scalar == "double" else "FLT"
         self.limit, self.tiny = f"{kind}_MAX", f"{kind}_MIN"
+        self.fma = "fma" if scalar == "double" else "fmaf"
         self.rows = rows
         self.words = -(-rows // _WORD_BITS)  # 32-bit words that one bit per row of y needs
 
@@ -172,12 +173,23 @@ class StatementPrinter:
                 isinstance(first, Expression) and first.operator is operator
             ):
                 text = f"{self._operation(first)} {_INFIX[operator]} {a[1]}"
+            case _ if operator in ir.FUSED:
+                text = self._fused(node)
             case _ if operator in _INFIX:
                 text = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case _:
                 inner = ", ".join(map(self._bare, node.arguments))
                 text = f"{self.elementary}_{operator.value}({inner})"
         return text
+
+    def _fused(self, node: Expression) -> str:
+        """A call of fma(): of a difference one argument has the other sign."""
+        arguments = [self._bare(argument) for argument in node.arguments]
+        turned = {Operator.FNMA: 0, Operator.FMS: 2}.get(node.operator)
+        if turned is not None:
+            text = self.operand(node.arguments[turned])
+            arguments[turned] = text[1:] if text.startswith("-") else f"-{text}"
+        return f"{self.fma}({', '.join(arguments)})"
 
     def _holds(self, condition: ir.Operand) -> str:
         """Test whether a condition, which is 0 or 1, holds."""
@@ -257,7 +269,8 @@ class StatementPrinter:
                 return self.names.get(value) or self.literal(value)
             case Expression(operator):
                 text = self._operation(operand)
-                return text if operator.is_function else f"({text})"
+                called = operator.is_function or operator in ir.FUSED
+                return text if called else f"({text})"
             case Element(space, name, index):
                 place = "" if index is None else f"[{index}]"
                 own = self.members.get(name, name) if space in {Space.SELF, Space.NEXT} else name

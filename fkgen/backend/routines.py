@@ -41,7 +41,7 @@ _FUNCTIONS = {
     *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
     *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *ir.FUNCTIONS,
-    *("reduced", "power_of_two"),
+    *("reduced", "power_of_two", "fused"),
 }
 
 #: Names that an argument or a local of a routine must not have.

@@ -1,6 +1,6 @@
 """Leave out tests of numbers that are finite if another tested number is.
 
-A sum, a difference or a product is finite only if both of its parts are, a quotient only if what is
+A sum, a difference or a product is finite only if all of its parts are, a quotient only if what is
 divided is: an innovation that is not finite shows in the likelihood. What a condition may have left
 alone is known on one of the two ways only, and known at all where it is on both. A sample is
 refused for the same reason as before: a test may rely on those that come with it, with no test for
@@ -24,6 +24,7 @@ _SPREADING = frozenset(
     {
         *(Operator.ADD, Operator.SUB, Operator.MUL, Operator.NEG, Operator.ABS),
         *(Operator.SQRT, Operator.LOG),
+        *ir.FUSED,
     }
 )
 
