@@ -237,10 +237,8 @@ class _Code:
                 return self._condition(node)
             case ir.For():
                 return self._loop(node)
-            case ir.Product():
-                return self._product(node)
-            case ir.Triangle():
-                return self._triangle(node)
+            case ir.Product() | ir.Triangle():
+                return self._of_matrices(node)
         raise InternalError(f"no execution of {node}")
 
     def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
@@ -284,6 +282,9 @@ class _Code:
         """The cells of an element for many values of indices."""
         array = self._cell(replace(element, index=0 if element.moves else element.index))[0]
         return array + np.broadcast_to(value(element.index or 0, at), at["i"].shape)
+
+    def _of_matrices(self, node: ir.OfMatrices) -> _Statement:
+        return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
 
     def _triangle(self, node: ir.Triangle) -> _Statement:
         at = entries(node.size, node.size, lower=True)

@@ -131,9 +131,9 @@ def multiply(
     less: bool = False,
     lower: bool = False,
 ) -> Dense:
-    """Append target := start + left right; ``less``: minus, ``lower``: no entries above the diagonal.
+    """Append target := start + left right, or with ``less`` start - left right.
 
-    The target may be the start.
+    With ``lower`` entries above the diagonal are left alone. The target may be the start.
     """
     factors = left.at(_I, _K), right.at(_K, _J)
     sizes = left.rows, right.columns, left.columns

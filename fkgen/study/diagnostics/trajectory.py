@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fkgen.backend.execute import Machine
 from fkgen.backend.lower import lower
 from fkgen.errors import DataError
 from fkgen.families import family
@@ -25,7 +26,6 @@ from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.runtime import record
-from fkgen.study.diagnostics.start import Replay
 from fkgen.study.diagnostics.subject import Array, Subject, listed
 from fkgen.trials.errors import error_signals
 
@@ -112,13 +112,13 @@ class Trajectory:
 
     def _run(self) -> None:
         spec, drive, model = self.spec, self.drive, self.spec.model
-        replay, ne = Replay(lower(family(spec.filter.family).build(spec))), model.ne
+        machine, ne = Machine(lower(family(spec.filter.family).build(spec))), model.ne
         rows, columns = np.tril_indices(ne)
 
         def estimate(which: str) -> tuple[Array, Array]:
             P = np.zeros((ne, ne))
-            P[rows, columns] = P[columns, rows] = replay.port(f"{which}_covariance")
-            return np.array(replay.port(f"{which}_state"), float), P
+            P[rows, columns] = P[columns, rows] = machine.ports[f"{which}_covariance"]
+            return np.array(machine.ports[f"{which}_state"], float), P
 
         prior = model.x0.values(spec.defaults)[:, 0], model.P0.values(spec.defaults)
         found: dict[str, list[tuple[Array, Array]]] = {"predicted": [], "filtered": []}
@@ -126,7 +126,7 @@ class Trajectory:
         for k in range(self.T):
             told = {name: float(values[k]) for name, values in drive.params.items()}
             y = np.zeros(model.ny) if drive.y is None else drive.y[k]
-            accepted.append(replay.step(drive.u[k], y, told))
+            accepted.append(machine.step(drive.u[k], y, told).value >= 0)
             found["predicted"].append(prior)
             found["filtered"].append(estimate("filtered") if accepted[-1] else prior)
             prior = estimate("predicted") if accepted[-1] else prior
