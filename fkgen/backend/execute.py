@@ -105,7 +105,10 @@ class Machine:
         return {Element(Space.PARAMETER, name, None): self.real(v) for name, v in values.items()}
 
     def step(
-        self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
+        self,
+        u: Sequence[float] | NDArray[np.floating],
+        y: Sequence[float] | NDArray[np.floating],
+        parameters: Mapping[str, float],
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
