@@ -9,7 +9,7 @@ what several of them need is said once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -75,6 +75,8 @@ class Equations:
     integrator: Integrator = "rk4"
     substeps: int = 1
     period: Expression | None = None  # from sample to sample, where time is continuous
+    #: What was given as a text, by its key, such as ("h.range", "hypot(x, y)"); for readers alone
+    written: tuple[tuple[str, str], ...] = field(default=(), compare=False)
     apart: ClassVar[bool] = True  # its trees name states, so they are no expressions of a spec
 
     @property

@@ -73,6 +73,7 @@ def read_equations(section: Section, named: Named, timing: dict[str, Any]) -> Eq
         let=kept(known, [*trees_of(f), *h]),
         f=tuple(f),
         h=tuple(h),
+        written=tuple(known.written.items()),
         attitudes=tuple(named.attitudes.values()),
         **timing,
     )
@@ -135,6 +136,7 @@ def read_definitions(section: Section, known: Known) -> dict[str, Callable[[], N
         for key in parts[name]:
             reader = EquationReader(known, f"let.{name}")
             value = read_value(table[key], place.entry(key), reader)
+            known.note(f"let.{key}", table[key])
             known.later.pop(name, None)
             known.given.add(name)
             if isinstance(value, tuple):
@@ -244,6 +246,7 @@ def read_motion(
             continue
         entry, place = entries[signal.name]
         reader = EquationReader(known, f"f.{signal.name}")
+        known.note(reader.label, entry)
         if signal.manifold:
             found += _turning(entry, place, reader, (signal, named.continuous))
         else:
@@ -306,6 +309,7 @@ def read_measurement(
             raise place.error("nothing (the key is missing)", "an expression of states and inputs")
         entry, place = entries[signal.name]
         reader = EquationReader(known, f"h.{signal.name}")
+        known.note(reader.label, entry)
         found.append(_number(read_value(entry, place, reader), place))
     return found
 
