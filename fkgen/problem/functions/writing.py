@@ -34,6 +34,15 @@ class Statement:
         return f"{self.key.partition('.')[0]}: {self.name} = {self.text}"
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A tree, the key of where it was written, and the name of what it states."""
+
+    key: str
+    name: str
+    tree: Expression
+
+
 #: A key, the name of what it states, and each of its parts by name.
 _Group = tuple[str, str, list[tuple[str, Motion]]]
 
@@ -66,6 +75,27 @@ def statements(
                 own = needed([*hidden.items()], trees)
                 found.append(Statement(key, stated, text, trees, own))
     return found
+
+
+def rows_of(
+    equations: Equations, states: Sequence[Signal], outputs: Sequence[Signal], part: str
+) -> list[Row]:
+    """The rows of "f" or of "h", an increment by its three trees."""
+    if part == "h":
+        pairs = zip(outputs, equations.h, strict=True)
+        return [Row(f"h.{each.name}", each.name, tree) for each, tree in pairs]
+    return [
+        Row(key, name, tree)
+        for key, _, parts in _motions(equations, states)
+        for name, motion in parts
+        for tree in trees_of([motion])
+    ]
+
+
+def text_of(row: Row, equations: Equations) -> str:
+    """What is written where a row comes from."""
+    written = dict(equations.written)
+    return written.get(row.key) or written.get(part_of(row.key)) or to_text(row.tree)
 
 
 def _hidden(equations: Equations) -> dict[str, Expression]:
