@@ -390,8 +390,8 @@ def test_an_attitude_in_float_is_held_against_double_by_its_rotation():
     spec = read(ATTITUDE, code={"scalar": "float"})
     report = fkgen.check(spec)
     assert 0.0 < report.values["float_start_to_sd"] < 0.1
-    assert "one combination of q.x, q.y and q.z" in finding(report, "unobservable").message
-    assert "second_order_f.later.q.z" in report.values
+    assert "one combination of q[x], q[y] and q[z]" in finding(report, "unobservable").message
+    assert "second_order_f.later.q[z]" in report.values
 
 
 def test_a_function_without_a_value_near_the_estimate_is_an_error():
