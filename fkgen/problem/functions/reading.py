@@ -18,7 +18,7 @@ from fkgen.problem.equations import (
 )
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import REFUSED, Named
-from fkgen.problem.functions.sources import checked, is_source, read_source, trees
+from fkgen.problem.functions.sources import checked, is_source, read_source, symbol, trees
 from fkgen.problem.functions.vectors import HIDDEN, PART, EquationReader, Known, Value
 from fkgen.problem.signals import Signal, read_name
 from fkgen.problem.table.place import Place, show, suggestion
@@ -35,7 +35,7 @@ from fkgen.problem.text.expression import (
     to_text,
     total,
 )
-from fkgen.problem.text.foreign import library, plain_entry
+from fkgen.problem.text.foreign import library, plain_entry, sympy_tree
 from fkgen.problem.text.matrix import plain
 
 #: What only a model with equations has.
@@ -169,6 +169,8 @@ def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
     if library(entry) == "casadi":
         found = trees(entry, place, reader)
         return found[0] if len(found) == 1 else tuple(found)
+    if library(entry) == "sympy" and not hasattr(entry, "tolist"):
+        return sympy_tree(entry, place, lambda name: symbol(name, place, reader), reader.share)
     plain = plain_entry(entry, place)
     if isinstance(plain, str):
         value = placed(lambda: reader.read(plain), plain, place)
