@@ -13,11 +13,11 @@
  * Sample time: the parameter dt, in s.
  *
  * Model: x[k+1] = f(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R).
- *   stays = exp((-dt) / 100.0)
- *   f: soc = soc + current * dt / (3600.0 * capacity)
- *   f: v1 = stays * v1 + 0.0015 * (1.0 - stays) * current
+ *   let: stays = exp(-dt/100)
+ *   f: soc = soc + current*dt/(3600*capacity)
+ *   f: v1 = stays*v1 + 0.0015*(1 - stays)*current
  *   h: sensor = current
- *   h: voltage = interp(soc, 'ocv') + r0 * current + v1
+ *   h: voltage = interp(soc, 'ocv') + r0*current + v1
  *   Q = diag(1e-10 * dt, 1e-06 * dt, 4.0 * dt, 9e-12 * dt)   [-, V, A, ohm] squared
  *   R = diag(0.0025, 1.6e-05)   [A, V] squared
  *   x0 = [0.7, 0.0, 0.0, 0.0018]   [-, V, A, ohm]

@@ -13,9 +13,9 @@
  * Sample time: 0.1 s.
  *
  * Model: x[k+1] = f(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R).
- *   f: x = x + 0.1 * (1.0 + slip) * speed * cos(heading)
- *   f: y = y + 0.1 * (1.0 + slip) * speed * sin(heading)
- *   f: heading = heading + 0.1 * (turn + w_turn)
+ *   f: x = x + 0.1*(1 + slip)*speed*cos(heading)
+ *   f: y = y + 0.1*(1 + slip)*speed*sin(heading)
+ *   f: heading = heading + 0.1*(turn + w_turn)
  *   h: range = hypot(x, y)
  *   h: bearing = atan2(-y, -x) - heading
  *   h: compass = heading
