@@ -212,9 +212,9 @@ static int battery_present_rows(const double *y, uint32_t valid, uint32_t *prese
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -2233,24 +2233,30 @@ battery_status_t battery_predict(battery_t *self, const battery_params_t *params
 battery_status_t battery_step(battery_t *self, const battery_params_t *params, const double y[2],
     uint32_t valid)
 {
-    battery_t next;
-    battery_t prior;
     uint32_t present;
-    const battery_t *latest = self;
     battery_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return BATTERY_NULL_POINTER; }
     if (!battery_finite_params(params)) { return BATTERY_PARAMETER_OUT_OF_RANGE; }
     if (!battery_present_rows(y, valid, &present)) { return BATTERY_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        battery_reopen(self, &prior);
-        latest = &prior;
+        battery_t next;
+        status = battery_renew(self, params, y, present, &next);
+        if (status != BATTERY_OK) { return status; }
+        status = battery_propagate(&next, params, &next);
+        if (status != BATTERY_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = battery_correct(latest, params, y, present, &next);
-    if (status != BATTERY_OK) { return status; }
-    status = battery_propagate(&next, params, &next);
-    if (status != BATTERY_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        battery_t next;
+        status = battery_correct(self, params, y, present, &next);
+        if (status != BATTERY_OK) { return status; }
+        status = battery_propagate(&next, params, &next);
+        if (status != BATTERY_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? BATTERY_OK : BATTERY_SKIPPED;
 }

@@ -212,9 +212,9 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -1403,24 +1403,30 @@ gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_para
 gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid)
 {
-    gps_glitch_t next;
-    gps_glitch_t prior;
     uint32_t present;
-    const gps_glitch_t *latest = self;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        gps_glitch_reopen(self, &prior);
-        latest = &prior;
+        gps_glitch_t next;
+        status = gps_glitch_renew(self, y, present, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        status = gps_glitch_propagate(&next, params, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = gps_glitch_correct(latest, y, present, &next);
-    if (status != GPS_GLITCH_OK) { return status; }
-    status = gps_glitch_propagate(&next, params, &next);
-    if (status != GPS_GLITCH_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        gps_glitch_t next;
+        status = gps_glitch_correct(self, y, present, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        status = gps_glitch_propagate(&next, params, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

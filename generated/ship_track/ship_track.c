@@ -132,83 +132,89 @@ static double ship_track_exp(double x)
     return z * u.value;
 }
 
-/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r, then a polynomial in r r */
-static double ship_track_wave(double x, int32_t quarter)
+/* For speed a sine and a cosine of one angle are joined where they are called, to share their
+ * work. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
+#define SHIP_TRACK_JOINED static inline __attribute__((always_inline))
+#else
+#define SHIP_TRACK_JOINED static
+#endif
+
+/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r + low, then polynomials in r r */
+SHIP_TRACK_JOINED double ship_track_wave(double x, uint64_t quarter)
 {
-    double y, z, r, part;
-    int32_t k;
-    uint32_t turn;
-    if (!((x <= 100000.0) && (x >= -100000.0)))
-    {
-        const double zero = 0.0;
-        return (x - x) / zero;
-    }
-    r = x * 0.6366197723675814;
-    r = r + ((x >= 0.0) ? 0.5 : -0.5);
-    k = (int32_t)r;
-    r = x;
-    part = (double)k * 1.5707963267341256;
-    r = r - part;
-    part = (double)k * 6.077100506303966e-11;
-    r = r - part;
-    part = (double)k * 2.0222662487959506e-21;
-    r = r - part;
+    const double zero = 0.0;
+    const double one = 1.0;
+    const double offset = 6755399441055744.0;
+    ship_track_bits_t u;
+    double k, r, low, part, z, w, even, odd, sine, cosine;
+    u.value = x * 0.6366197723675814;
+    u.value = u.value + offset;
+    k = u.value - offset;
+    low = x;
+    part = k * 1.5707963267341256;
+    low = low - part;
+    part = k * 6.077100506303966e-11;
+    r = low - part;
+    low = low - r;
+    low = low - part;
+    part = k * 2.0222662487959506e-21;
+    low = low - part;
+    part = r;
+    r = part + low;
+    part = part - r;
+    low = part + low;
     z = r * r;
-    turn = (uint32_t)(k + quarter) & 3u;
-    if ((turn & 1u) != 0u)
-    {
-        y = -1.5619206968586225e-16;
-        y =     y * z;
-        y =     y + 4.779477332387385e-14;
-        y =     y * z;
-        y =     y + -1.1470745597729725e-11;
-        y =     y * z;
-        y =     y + 2.08767569878681e-09;
-        y =     y * z;
-        y =     y + -2.755731922398589e-07;
-        y =     y * z;
-        y =     y + 2.48015873015873e-05;
-        y =     y * z;
-        y =     y + -0.001388888888888889;
-        y =     y * z;
-        y =     y + 0.041666666666666664;
-        y =     y * z;
-        y =     y + -0.5;
-        y =     y * z;
-        y =     y + 1.0;
-
-    }
-    else
-    {
-        y = 2.8114572543455206e-15;
-        y =     y * z;
-        y =     y + -7.647163731819816e-13;
-        y =     y * z;
-        y =     y + 1.6059043836821613e-10;
-        y =     y * z;
-        y =     y + -2.505210838544172e-08;
-        y =     y * z;
-        y =     y + 2.7557319223985893e-06;
-        y =     y * z;
-        y =     y + -0.0001984126984126984;
-        y =     y * z;
-        y =     y + 0.008333333333333333;
-        y =     y * z;
-        y =     y + -0.16666666666666666;
-        y =     y * z;
-        y =     y + 1.0;
-
-        y = r * y;
-    }
-    return ((turn & 2u) != 0u) ? -y : y;
+    w = z * z;
+    even = -2.505073442971143e-08;
+    even = even * w;
+    even = even + -0.00019841269829358644;
+    even = even * w;
+    even = even + -0.1666666666666663;
+    odd = 1.5895439353100722e-10;
+    odd = odd * w;
+    odd = odd + 2.7557313538593055e-06;
+    odd = odd * w;
+    odd = odd + 0.00833333333332184;
+    odd = z * odd;
+    even = even + odd;
+    sine = z * even;
+    sine = r * sine;
+    sine = sine + low;
+    sine = r + sine;
+    even = 2.0875705007432117e-09;
+    even = even * w;
+    even = even + 2.4801587288996726e-05;
+    even = even * w;
+    even = even + 0.041666666666666595;
+    odd = -1.1358725475176406e-11;
+    odd = odd * w;
+    odd = odd + -2.755731421479159e-07;
+    odd = odd * w;
+    odd = odd + -0.0013888888888873338;
+    odd = z * odd;
+    even = even + odd;
+    odd = r * low;
+    even = w * even;
+    even = even - odd;
+    z = 0.5 * z;
+    w = one - z;
+    cosine = one - w;
+    cosine = cosine - z;
+    cosine = cosine + even;
+    cosine = w + cosine;
+    quarter = u.bits + quarter;
+    r = ((quarter & 1u) != 0u) ? cosine : sine;
+    r = ((quarter & 2u) != 0u) ? -r : r;
+    return ((x <= 100000.0) && (x >= -100000.0)) ? r : ((x - x) / zero);
 }
 
-static double ship_track_sin(double x)
+SHIP_TRACK_JOINED double ship_track_sin(double x)
 {
     return ship_track_wave(x, 0);
 }
 
-static double ship_track_cos(double x)
+SHIP_TRACK_JOINED double ship_track_cos(double x)
 {
     return ship_track_wave(x, 1);
 }
@@ -293,9 +299,9 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -1558,24 +1564,30 @@ ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_para
 ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid)
 {
-    ship_track_t next;
-    ship_track_t prior;
     uint32_t present;
-    const ship_track_t *latest = self;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        ship_track_reopen(self, &prior);
-        latest = &prior;
+        ship_track_t next;
+        status = ship_track_renew(self, y, present, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        status = ship_track_propagate(&next, params, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = ship_track_correct(latest, y, present, &next);
-    if (status != SHIP_TRACK_OK) { return status; }
-    status = ship_track_propagate(&next, params, &next);
-    if (status != SHIP_TRACK_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        ship_track_t next;
+        status = ship_track_correct(self, y, present, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        status = ship_track_propagate(&next, params, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }
