@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import operator as arithmetic
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
-from fkgen.symbolic.index import Index, value
+from fkgen.symbolic.index import Index, entries, value
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -231,6 +233,10 @@ class _Code:
                 return self._condition(node)
             case ir.For():
                 return self._loop(node)
+            case ir.Product():
+                return self._product(node)
+            case ir.Triangle():
+                return self._triangle(node)
         raise InternalError(f"no execution of {node}")
 
     def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
@@ -265,6 +271,46 @@ class _Code:
             else:
                 holds = any(present) if row is None else present[value(row, variables)]
             return body(cells, variables, present) if holds else None
+
+        return run
+
+    def _cells(self, element: Element, at: Mapping[str, Any]) -> NDArray[np.intp]:
+        """The cells of an element for many values of indices."""
+        array = self._cell(replace(element, index=0 if element.moves else element.index))[0]
+        return array + np.broadcast_to(value(element.index or 0, at), at["i"].shape)
+
+    def _triangle(self, node: ir.Triangle) -> _Statement:
+        at = entries(node.size, node.size, lower=True)
+        source, target = self._cells(node.source, at), self._cells(node.target, at)
+        other = self._cells(node.target, {"i": at["j"], "j": at["i"]}) if node.mirrored else target
+
+        def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
+            for a, b, c in zip(source, target, other, strict=True):
+                cells[b] = cells[c] = cells[a]
+            return None
+
+        return run
+
+    def _product(self, node: ir.Product) -> _Statement:
+        at = entries(node.rows, node.columns, lower=node.lower)
+        left, right = (
+            [self._cells(element, {**at, "k": k}) for k in range(node.inner)]
+            for element in (node.left, node.right)
+        )
+        target = self._cells(node.target, at)
+        begin = None if node.start is None else self._cells(node.start, at)
+        add = self.machine.arithmetic[Operator.SUB if node.less else Operator.ADD]
+        multiply = self.machine.arithmetic[Operator.MUL]
+
+        def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
+            now = np.array(cells, object)
+            terms = (multiply(now[a], now[b]) for a, b in zip(left, right, strict=True))
+            found = next(terms) if begin is None else now[begin]
+            for term in terms:
+                found = add(found, term)
+            for cell, each in zip(target, found, strict=True):
+                cells[cell] = each
+            return None
 
         return run
 

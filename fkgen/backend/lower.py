@@ -165,12 +165,16 @@ class _Lowering:
     title: str = ""
     groups: list[_Group] = field(default_factory=list)
 
-    def take(self, block: sym.Block | sym.Loop) -> None:
-        """Append a block or a loop; those in a row under one condition share it."""
+    def take(self, block: sym.Block | sym.Loop | sym.OfMatrices) -> None:
+        """Append a block, loop or product; those in a row under one condition share it."""
         title = f"{block.section}: {block.title}" if block.section else block.title
         if title and title != self.title:
             self.groups.append(_Group(None, block.section, statements=[ir.Heading(title)]))
             self.title = title
+        if isinstance(block, sym.OfMatrices):
+            node = self._product(block) if isinstance(block, sym.Product) else self._triangle(block)
+            self.groups.append(_Group(None, block.section, statements=[node], begins=[0]))
+            return
         last = self.groups[-1] if self.groups else None
         if last is None or last.section != block.section or not _same(last.condition, block.when):
             last = _Group(block.when, block.section)
@@ -186,6 +190,28 @@ class _Lowering:
         for guard, value in zip(block.guards, values[len(block.assign) :], strict=True):
             last.statements.append(ir.Require(tuple(value), guard.kind, guard.status))
         self._store(block, values, last.statements)
+
+    def _product(self, product: sym.Product) -> ir.Product:
+        """A product, whose target is a local."""
+        begin = product.start
+        start = None if begin is None else self._element(begin, 0, read=True)
+        return ir.Product(
+            target=self._element(product.target, 0, read=False),
+            start=start,
+            left=self._element(product.left, 0, read=True),
+            right=self._element(product.right, 0, read=True),
+            rows=product.rows,
+            columns=product.columns,
+            inner=product.inner,
+            less=product.less,
+            lower=product.lower,
+        )
+
+    def _triangle(self, triangle: sym.Triangle) -> ir.Triangle:
+        """A copy of a symmetric matrix to a local."""
+        target = self._element(triangle.target, 0, read=False)
+        source = self._element(triangle.source, 0, read=True)
+        return ir.Triangle(target, source, triangle.size, triangle.mirrored)
 
     def _loop(self, loop: sym.Loop) -> ir.For:
         """A loop with its blocks in groups of their own."""
@@ -388,7 +414,7 @@ def _check_places(name: str, phase: ir.Phase, sizes: Mapping[str, int]) -> None:
                 raise InternalError(f"{name}: {each} is read before it is written")
         if isinstance(node, Operate | Copy):
             home[node.target] = loops
-        if isinstance(node, ir.Assign):
+        if isinstance(node, ir.Assign | ir.OfMatrices):
             begun.add(node.target.name)
         _check_indices(name, node, loops, sizes)
 
@@ -407,7 +433,7 @@ def _check_indices(
                 raise InternalError(f"{name}: two loops over {index}, one in the other")
         case ir.IfPresent(row):
             asked.append(row)
-        case ir.Assign(target) if target.moves:
+        case ir.Assign(target) | ir.Product(target) | ir.Triangle(target) if target.moves:
             elements.append(target)
             asked.append(target.index)
     if unknown := {*names_in(*asked)} - known:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
-from fkgen.errors import UnfitError
-from fkgen.symbolic.index import Index
+from fkgen.errors import InternalError, UnfitError
+from fkgen.symbolic.index import Index, value
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
@@ -142,6 +143,10 @@ class StatementPrinter:
                 return f"{head}\n{{\n{self.block(body)}\n}}"
             case ir.IfPositive(positive, body):
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
+            case ir.Product():
+                return self._product(node)
+            case ir.Triangle():
+                return self._triangle(node)
             case ir.Call():
                 return self._call(node)
         return f"\n/* {node.text} */"
@@ -194,6 +199,32 @@ class StatementPrinter:
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
+
+    def _triangle(self, node: ir.Triangle) -> str:
+        """A call of one of the two functions between packed symmetric matrices and whole ones."""
+        whole = node.target if node.mirrored else node.source
+        first, second = (
+            self._address(replace(element, index=_first(element)))
+            for element in (node.source, node.target)
+        )
+        name = f"{self.name}_{'unpack' if node.mirrored else 'pack'}"
+        return f"{name}({first}, {second}, {_step(whole, 'i')}, {node.size});"
+
+    def _product(self, node: ir.Product) -> str:
+        """A call of the function for products; what is read element by element has two strides."""
+        places = ((node.target, "i"), (node.start, "i"), (node.left, "ik"), (node.right, "k"))
+        given = []
+        for element, variables in places:
+            if element is None:
+                given += ["NULL", "0"]
+                continue
+            steps = [_step(element, variable) for variable in "ijk"]
+            given.append(self._address(replace(element, index=_first(element))))
+            given += [str(steps["ijk".index(variable)]) for variable in variables]
+            if element is not node.left and node.columns > 1 and steps[1] != 1:
+                raise InternalError(f"{self.name}: columns of {element.name} lie apart")
+        sizes = node.rows, node.columns, node.inner, int(node.less), int(node.lower)
+        return f"{self.name}_product({', '.join([*given, *map(str, sizes)])});"
 
     def _call(self, node: ir.Call) -> str:
         routine, needs = self.routines[node.routine], self.needs[node.routine]
@@ -302,6 +333,17 @@ class Printer(StatementPrinter):
             above = combined([f"self->{member}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
+
+
+def _first(element: Element) -> int:
+    """Where an element of a product is for i = j = k = 0."""
+    return int(value(element.index or 0, dict.fromkeys("ijk", 0)))
+
+
+def _step(element: Element, variable: str) -> int:
+    """How far it moves with an index."""
+    one = {**dict.fromkeys("ijk", 0), variable: 1}
+    return int(value(element.index or 0, one)) - _first(element)
 
 
 def combined(tests: list[str], how: str) -> str:

@@ -14,12 +14,15 @@ from fkgen.backend.ir import (
     CopyArray,
     CProgram,
     Element,
+    OfMatrices,
     Operator,
     Phase,
     Scalar,
     Space,
+    Triangle,
     every,
     read,
+    walk,
 )
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
@@ -32,6 +35,10 @@ from fkgen.version import API_VERSION, __version__
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
 #: between them costs more than the code.
 INLINED = 2500
+
+#: Rows of a triangle up to which its loops are written out by the compiler: mispredicted branches
+#: cost more than the copies.
+UNROLLED = 12
 
 _COMMENTS = {
     "correct": "Condition on y[k]",
@@ -95,11 +102,18 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
+        "products": any(isinstance(n, OfMatrices) for body in outlined.bodies for n in walk(body)),
+        "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c, outlined),
         **_selftest(c),
     }
+
+
+def _sizes(outlined: Outline) -> Iterable[int]:
+    """Rows of the symmetric matrices that are packed and unpacked."""
+    return (node.size for body in outlined.bodies for node in every(Triangle, body))
 
 
 def _selftest(c: Printer) -> dict[str, object]:

@@ -103,6 +103,17 @@ class _Trace:
                     self.stage += 1
                 case ir.IfPresent() | ir.IfPositive():
                     self._branch(node)
+                case ir.For() | ir.Product() | ir.Triangle():
+                    self._forget(node)
+
+    def _forget(self, node: ir.For | ir.OfMatrices) -> None:
+        """Arrays that loops or products write hold other numbers afterwards."""
+        kinds = ir.Assign, ir.Product, ir.Triangle
+        nodes = [node, *(ir.walk(node.body) if isinstance(node, ir.For) else ())]
+        written = {(e.target.space, e.target.name) for e in nodes if isinstance(e, kinds)}
+        for each in [e for e in self.latest if isinstance(e, Element)]:
+            if (each.space, each.name) in written:
+                del self.latest[each]
 
     def _branch(self, node: ir.IfPresent | ir.IfPositive) -> None:
         """Statements that run or not: what they assign is one of two numbers afterwards."""
