@@ -92,6 +92,8 @@ def fill(
     numbers = [float(v) if k else 0.0 for v, k in zip(values, known, strict=True)]
     if all(known) and not changes:
         return builder.table(name, numbers)
+    if builder.has(name):
+        return name
     builder.local(name, size)
     if any(known):
         table = builder.table(f"{name}_0", numbers)

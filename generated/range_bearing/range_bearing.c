@@ -739,53 +739,45 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_2(const double in
     return RANGE_BEARING_OK;
 }
 
-/* mixing and prediction of every mode; part 2; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_8(const double *mixed_1_2_3_share,
-    const double *mixing_errors_2, const double *mixing_errors_3, double *mixed_1_2_3_mean)
-{
-    const double t0 = mixed_1_2_3_share[0] * mixing_errors_2[0];
-    mixed_1_2_3_mean[0] = t0 + (mixed_1_2_3_share[1] * mixing_errors_3[0]);
-    const double t1 = mixed_1_2_3_share[0] * mixing_errors_2[1];
-    mixed_1_2_3_mean[1] = t1 + (mixed_1_2_3_share[1] * mixing_errors_3[1]);
-    const double t2 = mixed_1_2_3_share[0] * mixing_errors_2[2];
-    mixed_1_2_3_mean[2] = t2 + (mixed_1_2_3_share[1] * mixing_errors_3[2]);
-}
-
 /* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_1_mean,
-    const double *combined_2_3_mean, const double *combined_0_3_share,
+RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance, const double *mean_m0, double *turn)
 {
-    double combined_0_3_apart[3];
     double combined_0_3_mean[3];
+    double combined_0_3_apart[3];
     double mean[3];
+    const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
+    combined_0_3_mean[0] = t0 + (combined_0_3_share[1] * combined_2_3_mean[0]);
+    const double t1 = combined_0_3_share[0] * combined_0_1_mean[1];
+    combined_0_3_mean[1] = t1 + (combined_0_3_share[1] * combined_2_3_mean[1]);
+    const double t2 = combined_0_3_share[0] * combined_0_1_mean[2];
+    combined_0_3_mean[2] = t2 + (combined_0_3_share[1] * combined_2_3_mean[2]);
     combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
     combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
     combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    range_bearing_part_8(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
-        combined_0_3_mean);
-    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
-    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t5 = t2 * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
-    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t10 = t2 * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
-    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
+    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t5 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t4 + (t5 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t8 = t5 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t7 + (t8 * combined_0_3_apart[0]);
+    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t10 + (t8 * combined_0_3_apart[1]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t13 = t5 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t12 + (t13 * combined_0_3_apart[0]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t15 + (t13 * combined_0_3_apart[1]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t17 + (t13 * combined_0_3_apart[2]);
     range_bearing_copy(combined_0_3_mean, mean, 3);
     turn[0] = mean_m0[0] + mean[0];
     turn[1] = mean_m0[1] + mean[1];
@@ -818,10 +810,23 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction(const double *mixe
     mixed_covariance[5] = t12 + (t2 * mixed_apart_squared[5]);
 }
 
-/* combination; combined prediction. */
-RANGE_BEARING_INLINE void range_bearing_part_3(const double *share, const double *covariance,
-    const double *covariance_2, const double *apart_squared, double *covariance_3)
+/* mixing and prediction of every mode; part 3. */
+RANGE_BEARING_INLINE void range_bearing_part_7(const double *apart, double *apart_squared)
 {
+    apart_squared[0] = apart[0] * apart[0];
+    apart_squared[1] = apart[1] * apart[0];
+    apart_squared[2] = apart[1] * apart[1];
+    apart_squared[3] = apart[2] * apart[0];
+    apart_squared[4] = apart[2] * apart[1];
+    apart_squared[5] = apart[2] * apart[2];
+}
+
+/* combination; combined prediction. */
+RANGE_BEARING_INLINE void range_bearing_part_3(const double *apart, const double *share,
+    const double *covariance, const double *covariance_2, double *covariance_3)
+{
+    double apart_squared[6];
+    range_bearing_part_7(apart, apart_squared);
     const double t0 = (share[0] * covariance[0]) + (share[1] * covariance_2[0]);
     const double t1 = share[0] * share[1];
     covariance_3[0] = t0 + (t1 * apart_squared[0]);
@@ -835,31 +840,6 @@ RANGE_BEARING_INLINE void range_bearing_part_3(const double *share, const double
     covariance_3[4] = t5 + (t1 * apart_squared[4]);
     const double t6 = (share[0] * covariance[5]) + (share[1] * covariance_2[5]);
     covariance_3[5] = t6 + (t1 * apart_squared[5]);
-}
-
-/* part 4; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_10(const double *apart, double *apart_squared)
-{
-    apart_squared[0] = apart[0] * apart[0];
-    apart_squared[1] = apart[1] * apart[0];
-    apart_squared[2] = apart[1] * apart[1];
-    apart_squared[3] = apart[2] * apart[0];
-    apart_squared[4] = apart[2] * apart[1];
-    apart_squared[5] = apart[2] * apart[2];
-}
-
-/* combination; mixing and prediction of every mode; combined prediction. */
-RANGE_BEARING_INLINE void range_bearing_part_4(const double *errors_1, double *apart_0_1_squared,
-    const double combined_0_1_share, double *combined_0_1_mean)
-{
-    double apart_0_1[3];
-    apart_0_1[0] = -errors_1[0];
-    apart_0_1[1] = -errors_1[1];
-    apart_0_1[2] = -errors_1[2];
-    range_bearing_part_10(apart_0_1, apart_0_1_squared);
-    combined_0_1_mean[0] = combined_0_1_share * errors_1[0];
-    combined_0_1_mean[1] = combined_0_1_share * errors_1[1];
-    combined_0_1_mean[2] = combined_0_1_share * errors_1[2];
 }
 
 /* innovation of the mixture. */
@@ -887,27 +867,20 @@ RANGE_BEARING_INLINE void range_bearing_innovation_of_the_mixture(const double
     }
 }
 
-/* combination; mixing and prediction of every mode; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_7(const double *weight, double *share)
-{
-    double inverse;
-    inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
-    share[0] = weight[0] * inverse;
-    share[1] = weight[1] * inverse;
-}
-
 /* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *combined_2_3_share,
-    const double *errors_2, const double *errors_3, double *apart_2_3_squared,
-    double *combined_2_3_mean)
+RANGE_BEARING_INLINE void range_bearing_part_4(const double *weight, double *combined_2_3_share,
+    const double *errors_2, const double *errors_3, double *combined_2_3_mean)
 {
-    double apart_2_3[3];
-    range_bearing_part_7(weight, combined_2_3_share);
-    apart_2_3[0] = errors_2[0] - errors_3[0];
-    apart_2_3[1] = errors_2[1] - errors_3[1];
-    apart_2_3[2] = errors_2[2] - errors_3[2];
-    range_bearing_part_10(apart_2_3, apart_2_3_squared);
-    range_bearing_part_8(combined_2_3_share, errors_2, errors_3, combined_2_3_mean);
+    double combined_2_3_inverse;
+    combined_2_3_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_2_3_share[0] = weight[0] * combined_2_3_inverse;
+    combined_2_3_share[1] = weight[1] * combined_2_3_inverse;
+    const double t0 = combined_2_3_share[0] * errors_2[0];
+    combined_2_3_mean[0] = t0 + (combined_2_3_share[1] * errors_3[0]);
+    const double t1 = combined_2_3_share[0] * errors_2[1];
+    combined_2_3_mean[1] = t1 + (combined_2_3_share[1] * errors_3[1]);
+    const double t2 = combined_2_3_share[0] * errors_2[2];
+    combined_2_3_mean[2] = t2 + (combined_2_3_share[1] * errors_3[2]);
 }
 
 /* mixing and prediction of every mode. */
@@ -928,6 +901,21 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *mo
     moved_covariance[5] = mixed_0_3_covariance[5] + 2.5000000000000008e-05;
     moved_covariance[3] = t1;
     moved_covariance[4] = t3;
+}
+
+/* combination; mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *combined_0_3_share,
+    double *combined_0_1_share, const double *errors_1, double *combined_0_1_mean)
+{
+    double combined_0_1_inverse;
+    combined_0_3_share[0] = weight[0] + weight[1];
+    combined_0_3_share[1] = weight[2] + weight[3];
+    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
+    combined_0_1_mean[0] = combined_0_1_share[1] * errors_1[0];
+    combined_0_1_mean[1] = combined_0_1_share[1] * errors_1[1];
+    combined_0_1_mean[2] = combined_0_1_share[1] * errors_1[2];
 }
 
 /* combination; combined prediction. */
@@ -1010,15 +998,6 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_innovation_of_the_mixt
         whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
     }
     return RANGE_BEARING_OK;
-}
-
-/* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_9(const double *weight, double *combined_0_3_share,
-    double *combined_0_1_share)
-{
-    combined_0_3_share[0] = weight[0] + weight[1];
-    combined_0_3_share[1] = weight[2] + weight[3];
-    range_bearing_part_7(weight, combined_0_1_share);
 }
 
 /* innovation of the mixture. */
@@ -1254,12 +1233,12 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     double combination_errors_3[3];
     double combined_0_3_share[2];
     double combined_0_1_share[2];
-    double combined_apart_0_1_squared[6];
     double combined_0_1_mean[3];
+    double combined_apart_0_1[3];
     double combined_0_1_covariance[6];
     double combined_2_3_share[2];
-    double combined_apart_2_3_squared[6];
     double combined_2_3_mean[3];
+    double combined_apart_2_3[3];
     double combined_2_3_covariance[6];
     double combined_0_3_covariance[6];
     double turn_combination[3];
@@ -1351,16 +1330,21 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     range_bearing_part_6(mean_m1, mean_m0, combination_errors_1);
     range_bearing_part_6(mean_m2, mean_m0, combination_errors_2);
     range_bearing_part_6(mean_m3, mean_m0, combination_errors_3);
-    range_bearing_part_9(weight, combined_0_3_share, combined_0_1_share);
-    range_bearing_part_4(combination_errors_1, combined_apart_0_1_squared, combined_0_1_share[1],
+    range_bearing_part_5(weight, combined_0_3_share, combined_0_1_share, combination_errors_1,
         combined_0_1_mean);
-    range_bearing_part_3(combined_0_1_share, covariance_m0, covariance_m1,
-        combined_apart_0_1_squared, combined_0_1_covariance);
-    range_bearing_part_5(&weight[2], combined_2_3_share, combination_errors_2, combination_errors_3,
-        combined_apart_2_3_squared, combined_2_3_mean);
-    range_bearing_part_3(combined_2_3_share, covariance_m2, covariance_m3,
-        combined_apart_2_3_squared, combined_2_3_covariance);
-    range_bearing_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share,
+    combined_apart_0_1[0] = -combination_errors_1[0];
+    combined_apart_0_1[1] = -combination_errors_1[1];
+    combined_apart_0_1[2] = -combination_errors_1[2];
+    range_bearing_part_3(combined_apart_0_1, combined_0_1_share, covariance_m0, covariance_m1,
+        combined_0_1_covariance);
+    range_bearing_part_4(&weight[2], combined_2_3_share, combination_errors_2, combination_errors_3,
+        combined_2_3_mean);
+    combined_apart_2_3[0] = combination_errors_2[0] - combination_errors_3[0];
+    combined_apart_2_3[1] = combination_errors_2[1] - combination_errors_3[1];
+    combined_apart_2_3[2] = combination_errors_2[2] - combination_errors_3[2];
+    range_bearing_part_3(combined_apart_2_3, combined_2_3_share, covariance_m2, covariance_m3,
+        combined_2_3_covariance);
+    range_bearing_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance, mean_m0,
         turn_combination);
     if (!range_bearing_finite((range_bearing_defect(turn_combination[0]) +
@@ -1522,12 +1506,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double mixing_errors_3[3];
     double mixed_0_0_3_share[2];
     double mixed_0_0_1_share[2];
-    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_mean[3];
+    double mixed_apart_0_1[3];
+    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_covariance[6];
     double mixed_0_2_3_share[2];
-    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_mean[3];
+    double mixed_apart_2_3[3];
+    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_covariance[6];
     double mixed_0_0_3_covariance[6];
     double turn_mixing_0[3];
@@ -1548,8 +1534,8 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double moved_covariance_1[6];
     double prediction_errors_1[3];
     double predicted_0_1_share[2];
-    double predicted_apart_0_1_squared[6];
     double predicted_0_1_mean[3];
+    double predicted_apart_0_1[3];
     double predicted_0_1_covariance[6];
     double prediction_mean[3];
     double turn_prediction[3];
@@ -1574,16 +1560,23 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     const double t4 = self->mode_filtered_state[11] - self->mode_filtered_state[2];
     const double t5 = 6.283185307179586 * range_bearing_floor(0.5 - (0.15915494309189535 * t4));
     mixing_errors_3[2] = t4 + t5;
-    range_bearing_part_9(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share);
-    range_bearing_part_4(mixing_errors_1, mixed_apart_0_1_squared, mixed_0_0_1_share[1],
+    range_bearing_part_5(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share, mixing_errors_1,
         mixed_0_0_1_mean);
+    mixed_apart_0_1[0] = -mixing_errors_1[0];
+    mixed_apart_0_1[1] = -mixing_errors_1[1];
+    mixed_apart_0_1[2] = -mixing_errors_1[2];
+    range_bearing_part_7(mixed_apart_0_1, mixed_apart_0_1_squared);
     range_bearing_mixing_and_prediction(mixed_0_0_1_share, self->mode_filtered_covariance,
         mixed_apart_0_1_squared, mixed_0_0_1_covariance);
-    range_bearing_part_5(&mixing_0[2], mixed_0_2_3_share, mixing_errors_2, mixing_errors_3,
-        mixed_apart_2_3_squared, mixed_0_2_3_mean);
+    range_bearing_part_4(&mixing_0[2], mixed_0_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_0_2_3_mean);
+    mixed_apart_2_3[0] = mixing_errors_2[0] - mixing_errors_3[0];
+    mixed_apart_2_3[1] = mixing_errors_2[1] - mixing_errors_3[1];
+    mixed_apart_2_3[2] = mixing_errors_2[2] - mixing_errors_3[2];
+    range_bearing_part_7(mixed_apart_2_3, mixed_apart_2_3_squared);
     range_bearing_mixing_and_prediction(mixed_0_2_3_share, &self->mode_filtered_covariance[12],
         mixed_apart_2_3_squared, mixed_0_2_3_covariance);
-    range_bearing_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
+    range_bearing_part_2(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance,
         self->mode_filtered_state, turn_mixing_0);
 
@@ -1593,17 +1586,15 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     /* mixing and prediction of every mode */
     range_bearing_mixing_and_prediction_2(moved_0, moved_state_0, mixed_0_0_3_covariance,
         moved_covariance_0);
-    range_bearing_part_9(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share);
-    mixed_1_0_1_mean[0] = mixed_1_0_1_share[1] * mixing_errors_1[0];
-    mixed_1_0_1_mean[1] = mixed_1_0_1_share[1] * mixing_errors_1[1];
-    mixed_1_0_1_mean[2] = mixed_1_0_1_share[1] * mixing_errors_1[2];
+    range_bearing_part_5(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share, mixing_errors_1,
+        mixed_1_0_1_mean);
     range_bearing_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_covariance,
         mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    range_bearing_part_7(&mixing_1[2], mixed_1_2_3_share);
-    range_bearing_part_8(mixed_1_2_3_share, mixing_errors_2, mixing_errors_3, mixed_1_2_3_mean);
+    range_bearing_part_4(&mixing_1[2], mixed_1_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_1_2_3_mean);
     range_bearing_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_covariance[12],
         mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    range_bearing_part_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
+    range_bearing_part_2(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean,
         mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance,
         self->mode_filtered_state, turn_mixing_1);
 
@@ -1618,10 +1609,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     range_bearing_part_6(moved_state_1, moved_state_0, prediction_errors_1);
     predicted_0_1_share[0] = mode_prediction_0;
     predicted_0_1_share[1] = mode_prediction_1;
-    range_bearing_part_4(prediction_errors_1, predicted_apart_0_1_squared, predicted_0_1_share[1],
-        predicted_0_1_mean);
-    range_bearing_part_3(predicted_0_1_share, moved_covariance_0, moved_covariance_1,
-        predicted_apart_0_1_squared, predicted_0_1_covariance);
+    predicted_0_1_mean[0] = predicted_0_1_share[1] * prediction_errors_1[0];
+    predicted_0_1_mean[1] = predicted_0_1_share[1] * prediction_errors_1[1];
+    predicted_0_1_mean[2] = predicted_0_1_share[1] * prediction_errors_1[2];
+    predicted_apart_0_1[0] = -prediction_errors_1[0];
+    predicted_apart_0_1[1] = -prediction_errors_1[1];
+    predicted_apart_0_1[2] = -prediction_errors_1[2];
+    range_bearing_part_3(predicted_apart_0_1, predicted_0_1_share, moved_covariance_0,
+        moved_covariance_1, predicted_0_1_covariance);
     range_bearing_copy(predicted_0_1_mean, prediction_mean, 3);
     turn_prediction[0] = moved_state_0[0] + prediction_mean[0];
     turn_prediction[1] = moved_state_0[1] + prediction_mean[1];
