@@ -27,11 +27,19 @@ UNIFORM = np.full((4, 4), 0.25)
 
 
 def draw_record(
-    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+    spec: Spec,
+    parameters: Mapping[str, Array],
+    u: Array,
+    rng: np.random.Generator,
+    *,
+    scale: float = 1.0,
 ) -> tuple[Array, dict[str, Array]]:
-    """Draw y, NaN for a filter that knows what was lost, and parameters, (T,); u (T, q)."""
+    """Draw y, NaN for a filter that knows what was lost, and parameters, (T,); u (T, q).
+
+    ``scale``: of the start and the noises of a plant by equations, in deviations.
+    """
     if is_nonlinear(spec):
-        return _draw_nonlinear(spec, parameters, u, rng)
+        return _draw_nonlinear(spec, parameters, u, rng, scale)
     T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
     if jump is not None:
         record = simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng)
@@ -49,7 +57,11 @@ def draw_record(
 
 
 def _draw_nonlinear(
-    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+    spec: Spec,
+    parameters: Mapping[str, Array],
+    u: Array,
+    rng: np.random.Generator,
+    scale: float,
 ) -> tuple[Array, dict[str, Array]]:
     """The same of a plant by equations: its mode, or what works of it, at every sample."""
     T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
@@ -57,17 +69,17 @@ def _draw_nonlinear(
         chain = chain_of(spec, T, parameters)
         path = draw_chain(chain["transitions"], chain["initial"], T, rng)
         modes = [system_of(spec, T, parameters, mode) for mode in jump.modes]
-        return simulate_nonlinear([modes[i] for i in path], u, rng)[0], {**parameters}
+        return simulate_nonlinear([modes[i] for i in path], u, rng, scale=scale)[0], {**parameters}
     system = system_of(spec, T, parameters)
     if faults is not None:
         law = _law(spec, faults, T, parameters)
         gamma, delta = gamma_delta(law, draw_modes(law, T, rng))
         sensed = system.told(faults.rows, gamma, delta)
         told = {"gamma": gamma, "delta": delta} if spec.filter.traits.told else {}
-        return simulate_nonlinear(sensed, u, rng)[0], {**parameters, **told}
+        return simulate_nonlinear(sensed, u, rng, scale=scale)[0], {**parameters, **told}
     rate, covariance = actuation_of(spec, T, parameters, spec.first_rates)
     effective = draw_patterns(rate, covariance, rng) * u
-    return simulate_nonlinear(system, effective, rng)[0], {**parameters}
+    return simulate_nonlinear(system, effective, rng, scale=scale)[0], {**parameters}
 
 
 def informed(

@@ -10,32 +10,21 @@ import numpy as np
 from fkgen.errors import ValidationError
 from fkgen.families import family
 from fkgen.families.family import Family
-from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record
 from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT, digits_at_stake
-from fkgen.oracle.plants.actuator import actuation_of
 from fkgen.oracle.plants.equations import is_nonlinear
-from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
-from fkgen.problem.model import joint_noise
 from fkgen.proof.mild import without_digits
+from fkgen.proof.records import Found, record_for, trial
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.plant import sensed_at_prior
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
 
-#: Ratio of prior to measurement variance beyond which a milder prior takes the place of the spec's.
-MILD = 1e4
-
-#: Samples; fewer for large models, whose joint covariance grows with them.
-LONG, SHORT, MANY_STATES = 6, 4, 8
-
 #: Ports that start as the prior covariance of the spec.
 _OF = ("predicted_", "filtered_", "mode_", "mode_filtered_", "riccati_", "compression_")
 _PRIORS = {f"{of}covariance" for of in (*_OF, "predicted_compression_")}
-
-#: How far out, in terms of the largest entry, is what a gate meets.
-OUTLIER = 30.0
 
 _COVARIANCE = {
     "filtered_state": "filtered_covariance",
@@ -74,9 +63,13 @@ def _proved(spec: Spec) -> Validated:
 
 def confront(tested: Family, recursion: Recursion) -> Validated:
     """Run every closed form of a family on one recursion."""
-    records = {steady: _trial(recursion.spec, steady=steady) for steady in (False, True)}
+    spec = recursion.spec
+    found = record_for(spec, tested.closed_forms)
+    records = {True: trial(spec, steady=True)[0], False: found.kept}
     tried = (_try(form, recursion, records[form.steady]) for form in tested.closed_forms)
-    claims = tuple(claim for claim in tried if claim is not None)
+    claims = [claim for claim in tried if claim is not None]
+    if found.is_cut:
+        claims.append(_end_of(recursion, found))
     return Validated(recursion=recursion, claims=(_start_of(recursion), *claims))
 
 
@@ -88,11 +81,7 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
         return Claim(claim=form.claim, source=form.source, error=float("inf"), tolerance=0.0)
     if expected is None:
         return None
-    instance = Interpreter(recursion)
-    instance.reset(record.first)
-    start = {port.name: record.P0 for port in recursion.ports if port.name in _PRIORS}
-    for name, value in (start | dict(form.start(spec, record) if form.start else {})).items():
-        put(instance, name, value)
+    instance = _instance(recursion, record, dict(form.start(spec, record)) if form.start else {})
     found = instance.run(record.y, record.u, record.parameters, keep=tuple(expected))
     error = max(
         distance(
@@ -105,6 +94,28 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     )
     return Claim(
         claim=form.claim, source=form.source, error=error, tolerance=form.tolerance(spec, record)
+    )
+
+
+def _instance(recursion: Recursion, record: Record, start: Ports) -> Interpreter:
+    """A filter at the start of a record; ``start``: what replaces the prior."""
+    instance = Interpreter(recursion)
+    instance.reset(record.first)
+    prior = {port.name: record.P0 for port in recursion.ports if port.name in _PRIORS}
+    for name, value in (prior | dict(start)).items():
+        put(instance, name, value)
+    return instance
+
+
+def _end_of(recursion: Recursion, found: Found) -> Claim:
+    """Where equations have no value any more, the filter says so."""
+    instance, whole, end = _instance(recursion, found.kept, {}), found.whole, len(found.kept.y)
+    taken = [instance.step(*whole.sample(k)) for k in range(end + 1)]
+    return Claim(
+        claim="the sample at which equations have no value is refused, none before it",
+        source=f"{end} samples from x0 on",
+        error=0.0 if taken == [True] * end + [False] else float("inf"),
+        tolerance=0.0,
     )
 
 
@@ -139,90 +150,6 @@ def _start_of(recursion: Recursion) -> Claim:
         error=float(max(errors)),
         tolerance=0.0,
     )
-
-
-def _trial(spec: Spec, *, steady: bool) -> Record:
-    """A record from the model itself: random inputs, shaken parameters, missing rows."""
-    rng = np.random.default_rng(20130905)
-    model = spec.model
-    T = LONG if model.nx < MANY_STATES else SHORT
-    parameters = {item.name: np.full(T, item.default) for item in spec.stated_parameters}
-    if not steady:
-        _vary(spec, parameters, rng)
-    u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
-    y, drawn = draw_record(spec, parameters, u, rng)
-    if steady:
-        drawn = {name: np.full(T, spec.defaults[name]) for name in drawn}
-    else:
-        if spec.filter.option("gate", None) is not None:
-            _disturb(spec, y, rng)
-        # none is missing at first, then row 0 alone, then all of them, then some
-        missing = rng.random(y.shape) < 0.25
-        missing[:3] = False
-        missing[1, 0] = True
-        missing[2] = True
-        y[missing] = np.nan
-    return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec, drawn))
-
-
-def _disturb(spec: Spec, y: Array, rng: np.random.Generator) -> None:
-    """Move rows far out, or whole samples where rows without noise may have to agree."""
-    out = rng.random(y.shape) < 0.25
-    out[3, 0] = True
-    if is_singular(spec.model.R.values(spec.defaults)):
-        y *= 1.0 + OUTLIER * out[:, :1]
-    else:
-        y += OUTLIER * np.abs(y).max() * out
-
-
-def _vary(spec: Spec, parameters: dict[str, Array], rng: np.random.Generator) -> None:
-    """Shake parameters by some percent, sample by sample, where the model still makes sense."""
-    for k in range(len(next(iter(parameters.values()), ()))):
-        shaken = {name: v[k] * (1.0 + 0.05 * rng.uniform(-1, 1)) for name, v in parameters.items()}
-        if _makes_sense(spec, shaken):
-            for name, value in shaken.items():
-                parameters[name][k] = value
-
-
-def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
-    """Whether all matrices are finite, all covariances positive and all rates probabilities.
-
-    And all parameters in their ranges.
-    """
-    if not all(item.low <= parameters[item.name] <= item.high for item in spec.stated_parameters):
-        return False
-    try:
-        if not spec.faults.in_domain({**spec.defaults, **parameters}):
-            return False
-        covariances = [spec.model.P0, joint_noise(spec.model.Q, spec.model.S, spec.model.R)]
-        for plant in (spec.model, *spec.plants):
-            covariances += [plant.Q, plant.R]
-            for letter in "ABCDcd" if plant.equations is None else "":
-                getattr(plant, letter).values(parameters)
-        for matrix in covariances:
-            M = matrix.values(parameters)
-            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
-                return False
-        rate, _ = actuation_of(spec, 1, dict(parameters), spec.first_rates)
-    except ArithmeticError:
-        return False
-    return bool(np.all((rate >= 0.0) & (rate <= 1.0)))
-
-
-def _mild_prior(spec: Spec, parameters: Mapping[str, Array]) -> Array:
-    """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation.
-
-    Not where P0 is part of the second moments that a gain depends on.
-    """
-    first = spec.defaults | {name: float(values[0]) for name, values in parameters.items()}
-    C = sensed_at_prior(spec, spec.model, first)
-    P0, R = (getattr(spec.model, m).values(first) for m in ("P0", "R"))
-    noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
-    known = (noise > 0.0) & (prior > 0.0)
-    if spec.filter.traits.moments or not known.any():
-        return np.asarray(P0)
-    excess = float(np.max(prior[known] / noise[known])) / MILD
-    return np.asarray(P0 / max(1.0, excess))
 
 
 def digits(spec: Spec) -> float:

@@ -7,23 +7,27 @@ was. No time is spent on samples that are taken.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import FkgenError
 from fkgen.problem.equations import ARRAYS, Equations, turned
-from fkgen.problem.functions.finite import Look, Point
+from fkgen.problem.functions.finite import Fault, Look, Point
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import evaluate
 from fkgen.runtime.results import Snapshot
 from fkgen.symbolic.interface import UPDATED
 
 Array = NDArray[np.float64]
+
+#: The number of a plant, its equations, and where they are looked at: a state and its covariance.
+Estimate: TypeAlias = tuple[int, Equations, Array, Array]
 
 
 def reason(
@@ -41,15 +45,39 @@ def reason(
         for own, written in zip(spec.equations, facts["written"], strict=True)
     ]
     known = {name: value for (name, _), value in zip(layout.parameters, parameters, strict=True)}
+    instance = layout.structure().from_buffer_copy(at.data)
+    updated, ports = bool(getattr(instance, UPDATED)), {name: at[name] for name in at.ports}
+    where = estimates_of(ports, plants, updated=updated)
+    largest = float(np.finfo(layout.dtype).max)
+    found = fault_at(spec, where, part, (u, known), largest=largest)
+    if found is None:
+        return ""
+    mode = f"mode {found[0]}: " if len(plants) > 1 else ""
+    return f"{mode}{found[1].key} = {found[1].text} has {found[1].what} at {found[1].at}"
+
+
+def fault_at(
+    spec: Spec,
+    estimates: Iterable[Estimate],
+    part: str,
+    given: tuple[Sequence[float], Mapping[str, float]],
+    *,
+    largest: float = math.inf,
+) -> tuple[int, Fault] | None:
+    """The first fault of "f" or of "h" where the filter looks at them, and of which plant.
+
+    ``given``: inputs and parameters.
+    """
+    u, known = given
     spread = spec.filter.traits.looks == "spread"
-    for number, equations, x, P in _estimates(at, plants):
+    for number, equations, x, P in estimates:
         look = Look(
             equations=equations,
             states=spec.model.states,
             outputs=spec.model.outputs,
             slopes=not spread,
             running=True,
-            largest=float(np.finfo(layout.dtype).max),
+            largest=largest,
         )
         noises = [0.0] * len(equations.noises)
         points = [Point(x.tolist(), u, noises, known)]
@@ -57,26 +85,23 @@ def reason(
             points = _points(points[0], P, equations, spec, part)
         for point in points:
             if found := look.fault(part, point):
-                mode = f"mode {number}: " if len(plants) > 1 else ""
-                return f"{mode}{found.key} = {found.text} has {found.what} at {found.at}"
-    return ""
+                return number, found
+    return None
 
 
-def _estimates(
-    at: Snapshot, plants: Sequence[Equations]
-) -> Iterator[tuple[int, Equations, Array, Array]]:
+def estimates_of(
+    ports: Mapping[str, Array], plants: Sequence[Equations], *, updated: bool
+) -> Iterator[Estimate]:
     """Every plant at the latest estimate, or at that of its mode where modes have their own."""
-    instance = at.layout.structure().from_buffer_copy(at.data)
-    updated = bool(getattr(instance, UPDATED))
     own = "mode_filtered_" if updated else "mode_"
     whole = "filtered_" if updated else "predicted_"
-    if f"{own}state" in at.ports:
-        states, covariances = at[f"{own}state"].astype(float), at[f"{own}covariance"].astype(float)
+    if f"{own}state" in ports:
+        states, covariances = (ports[f"{own}{of}"].astype(float) for of in ("state", "covariance"))
         several = len(states) == len(plants)
         for m, (x, P) in enumerate(zip(states, covariances, strict=True)):
             for i in [m] if several else range(len(plants)):
                 yield i, plants[i], x, P
-    x, P = at[f"{whole}state"].astype(float), at[f"{whole}covariance"].astype(float)
+    x, P = (ports[f"{whole}{of}"].astype(float) for of in ("state", "covariance"))
     yield from ((i, each, x, P) for i, each in enumerate(plants))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -33,6 +33,16 @@ class Record:
     def first(self) -> dict[str, float]:
         """The parameters of sample 0."""
         return {name: float(values[0]) for name, values in self.parameters.items()}
+
+    def sample(self, k: int) -> tuple[Array, Array, dict[str, float]]:
+        """One sample: y, u and parameters."""
+        now = {name: float(values[k]) for name, values in self.parameters.items()}
+        return self.y[k], self.u[k], now
+
+    def first_samples(self, count: int) -> Record:
+        """The record of fewer samples."""
+        parameters = {name: values[:count] for name, values in self.parameters.items()}
+        return replace(self, y=self.y[:count], u=self.u[:count], parameters=parameters)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,10 +24,27 @@ _RENAMED |= {"max": "maximum", "abs": "absolute", "+": "add", "-": "subtract", "
 _RENAMED |= {"/": "divide", "**": "power", "neg": "negative", "<": "less", "<=": "less_equal"}
 _RENAMED |= {">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
 _SAME = ("exp", "log", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sign", "hypot")
+#: Functions that would hide that an argument has no value, as "no" or as the other one.
+_DECIDING = ("<", "<=", ">", ">=", "==", "!=", "min", "max", "sign")
+
+
+def decided(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that decides by its arguments: without a value where one of them has none."""
+
+    def found(*arguments: Number) -> Number:
+        return function(*arguments) if _are_finite(*arguments) else np.nan
+
+    return found
+
+
+def _are_finite(*numbers: Number) -> bool:
+    return all(np.isfinite(value_of(each)) for each in numbers)
 
 
 def chosen(condition: Number, first: Number, second: Number) -> Number:
     """One of two numbers; the other may have no value."""
+    if not _are_finite(condition):
+        return np.nan
     return first if value_of(condition) else second
 
 
@@ -35,6 +52,8 @@ def looked_up(table: Any, at: Number) -> Number:
     """The value of a table by SciPy, with its slope; held at the ends, with slope 0."""
     from scipy.interpolate import PchipInterpolator, PPoly  # noqa: PLC0415 - slow to import
 
+    if not _are_finite(at):
+        return np.nan
     place, x, y = float(value_of(at)), np.array(table.x), np.array(table.y)
     if place < x[0] or place >= x[-1]:
         return y[0] if place < x[0] else y[-1]
@@ -50,6 +69,7 @@ def looked_up(table: Any, at: Number) -> Number:
 ARITHMETIC: dict[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in _SAME},
     **{name: getattr(np, renamed) for name, renamed in _RENAMED.items()},
+    **{name: decided(getattr(np, _RENAMED.get(name, name))) for name in _DECIDING},
     "if": chosen,
     "interp": looked_up,
 }

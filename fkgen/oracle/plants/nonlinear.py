@@ -172,25 +172,29 @@ class NonlinearSystem:
 
 
 def simulate_nonlinear(
-    system: NonlinearSystem | Sequence[NonlinearSystem], u: Array, rng: np.random.Generator
+    system: NonlinearSystem | Sequence[NonlinearSystem],
+    u: Array,
+    rng: np.random.Generator,
+    *,
+    scale: float = 1.0,
 ) -> tuple[Array, Array]:
     """Draw measurements (T, p) and the states behind them (T, nx); u (T, q).
 
-    Of several systems each holds at one sample.
+    Of several systems each holds at one sample. ``scale``: of what is drawn, in deviations.
     """
     systems = [system] * len(u) if isinstance(system, NonlinearSystem) else system
     system, T = systems[0], len(u)
     space = system.space
     states, y = np.zeros((T, space.nx)), np.zeros((T, system.ny))
-    x = space.moved(system.x0, square_root(system.P0) @ rng.standard_normal(space.ne))
+    x = space.moved(system.x0, scale * (square_root(system.P0) @ rng.standard_normal(space.ne)))
     for k, system in enumerate(systems):
         states[k] = x
         W, Q = system.noises(k)
         root = square_root(np.block([[Q, system.S[k]], [system.S[k].T, system.R[k]]]))
-        noise = root @ rng.standard_normal(len(root))
+        noise = scale * (root @ rng.standard_normal(len(root)))
         measured = system.measured(k, x, u[k]) + noise[space.ne :]
         y[k] = system.residual(measured, np.zeros(system.ny))
-        w = np.sqrt(W) * rng.standard_normal(system.nw)
+        w = scale * (np.sqrt(W) * rng.standard_normal(system.nw))
         x = space.moved(values_of(system.step(k, x, u[k], w)), noise[: space.ne])
     return y, states
 
