@@ -7,7 +7,7 @@ indices of the loops around them. They are made once.
 from __future__ import annotations
 
 import operator as arithmetic
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +21,8 @@ from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
 from fkgen.symbolic.index import Index, entries, value
 from fkgen.symbolic.interface import Kind, Status
+
+Array = NDArray[np.float64]
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.ADD: arithmetic.add,
@@ -53,6 +55,9 @@ MARKED = 4
 
 #: Row 0 of the last sample, where a filter has a gate that is to reject it.
 OUTLIER = 1000.0
+
+#: How near to a path from x0 the self-test is tried where equations have no values farther away.
+NEARER = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-6)
 
 #: At most so many samples before a closing, so that the self-test comes across one.
 CLOSED_AFTER = 3
@@ -343,33 +348,60 @@ class _Code:
 def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     """Run the program on a short record of short decimals, with missing rows.
 
+    Equations may have no values there: then near a path from x0, and nearer.
+
     Raises
     ------
     UnfitError
-        If the filter refuses one of them.
+        If the filter refuses a sample of every record; the first one.
     """
+    refused: list[UnfitError] = []
+    for u, y in _short_records(program):
+        try:
+            return _vectors(program, u, y)
+        except UnfitError as unfit:
+            refused.append(unfit)
+    raise refused[0]
+
+
+def _short_records(program: ir.CProgram) -> Iterator[tuple[Array, Array]]:
+    """Inputs and measurements of the self-test, those that are tried first come first."""
+    rng = np.random.default_rng(len(program.outputs))
+    q, p = len(program.inputs), len(program.outputs)
+    u = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, q)), 2)
+    y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
+    y[2] = np.nan
+    y[MARKED, 0] = np.nan
+    last = np.zeros((SAMPLES, p))
+    last[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else 0.0
+    yield u, np.where(last > 0.0, last, y)
+    for scale in NEARER:
+        for level, path in program.paths:
+            yield _short(level + scale * u), _short(np.array(path) + scale * y + last)
+
+
+def _short(values: Array) -> Array:
+    return np.array([[float(f"{value:.6g}") for value in row] for row in values]).reshape(
+        values.shape
+    )
+
+
+def _vectors(program: ir.CProgram, u: Array, y: Array) -> ir.Vectors:
     machine = Machine(program)
     start = {}
     if program.closing is not None:  # a countdown that comes to its end within the self-test
         name = f"predicted_{program.closing.unless}"
         start[name] = min(CLOSED_AFTER, dict(program.initial)[name][0])
         machine.ports[name] = [machine.real(start[name])]
-    rng = np.random.default_rng(len(program.outputs))
-    q, p = len(program.inputs), len(program.outputs)
-    u = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, q)), 2).tolist()
-    y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
-    y[2] = np.nan
-    y[MARKED, 0] = np.nan
-    y[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else y[-1, 0]
     trace: list[tuple[float, ...]] = []
-    for inputs, outputs in zip(u, y.tolist(), strict=True):
+    for inputs, outputs in zip(u.tolist(), y.tolist(), strict=True):
         status = machine.step(inputs, outputs, dict(program.parameters))
         if status.value < 0:
             what = f"sample {len(trace)} of the self-test is refused: {status.meaning}"
             raise UnfitError(program.name, what)
         trace.append(_floats(machine.ports["filtered_state"]))
     return ir.Vectors(
-        u=tuple(map(tuple, u)),
+        u=tuple(map(tuple, u.tolist())),
         y=tuple(map(tuple, y.tolist())),
         trace=tuple(trace),
         final=tuple((name, _floats(values)) for name, values in machine.ports.items()),

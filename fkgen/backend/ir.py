@@ -446,6 +446,8 @@ class CProgram:
     stated: Stated = Stated()
     shares_functions: bool = False
     fma: bool = False  # Whether it calls fma() of C
+    #: Inputs of one level, and y along the path that they lead from x0 on without any noise
+    paths: tuple[tuple[float, tuple[tuple[float, ...], ...]], ...] = ()
 
     @property
     def errors(self) -> tuple[Signal, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from fkgen.backend import ir
+from fkgen.backend.execute import SAMPLES
 from fkgen.backend.fused.products import fused
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
@@ -21,6 +22,7 @@ from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError, SpecError, UnfitError
 from fkgen.families import family
 from fkgen.problem import Model, Spec
+from fkgen.problem.functions.finite import path_of
 from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.index import At, Target, Whole, name_of, names_in
@@ -98,6 +100,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             shares_functions=spec.code.elementary == "shared",
             fma=spec.code.fma,
             stated=stated(spec, phases),
+            paths=_paths(spec),
             **lowered,
             **_signals(model),
         )
@@ -122,6 +125,17 @@ def _phases(recursion: sym.Recursion) -> tuple[tuple[Port, ...], dict[str, Any]]
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
     return ports, {name: without_implied(phase) for name, phase in (lowered | prior).items()}
+
+
+def _paths(spec: Spec) -> tuple[tuple[float, tuple[tuple[float, ...], ...]], ...]:
+    """Where a self-test has values if equations have any: about paths from x0."""
+    found, x0 = [], spec.model.x0.values(spec.defaults).ravel()
+    for each in spec.equations:
+        for level in (0.0, 1.0) if spec.model.nu else (0.0,):
+            path = path_of(each, x0, [level] * spec.model.nu, spec.defaults, SAMPLES)
+            if path is not None:
+                found.append((level, path))
+    return tuple(found)
 
 
 def _signals(model: Model) -> dict[str, Any]:

@@ -262,7 +262,7 @@ def _stated(
         if port == "state":
             variances = ca.vertsplit(lifted.variances) if lifted.w.numel() else []
             builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
-            drawn = w[plant.ne : plant.ne + lifted.w.numel()]
+            drawn = w[plant.ne : plant.ne + lifted.w.numel(), :]
             expression, noise = lifted.stirred, ca.sqrt(lifted.variances) * drawn
         (value,) = ca.substitute([expression], [lifted.x, lifted.u, lifted.w], [x, u, noise])
         values.append(_while(holds, ca.cse(value)))

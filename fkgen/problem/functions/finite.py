@@ -179,3 +179,22 @@ def check_start(equations: Equations, named: Named, x0: Array, place: Place) -> 
     given = f"{show(fault.text)} with {fault.what} at x0 ({fault.at})"
     expected = "finite values and derivatives where the filter starts: another x0, or another form"
     raise place.entry(fault.key).error(given, expected)
+
+
+def path_of(
+    equations: Equations,
+    x0: Array,
+    u: Sequence[float],
+    parameters: Mapping[str, float],
+    samples: int,
+) -> tuple[tuple[float, ...], ...] | None:
+    """What is measured along the path from x0 without noise, for inputs that stay the same.
+
+    None if it comes to where something has no value.
+    """
+    x, rows, quiet = tuple(map(float, x0)), [], [0.0] * len(equations.noises)
+    for _ in range(samples):
+        rows.append(tuple(map(float, equations.seen(x, u, parameters))))
+        x = tuple(map(float, equations.moved(x, u, quiet, parameters)))
+    whole = all(math.isfinite(each) for row in (*rows, x) for each in row)
+    return tuple(rows) if whole else None
