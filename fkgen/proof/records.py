@@ -31,6 +31,9 @@ MILD = 1e4
 #: proof: samples that are whole, without a row, and missing are among them, and one after those.
 LONG, SHORT, MANY_STATES = 6, 4, 8
 
+#: Samples with measurements among the fewest that are a proof: one that corrects a prediction.
+MEASURED = 2
+
 #: How far out, in terms of the largest entry, is what a gate meets.
 OUTLIER = 30.0
 
@@ -94,8 +97,9 @@ def record_for(spec: Spec, forms: Sequence[ClosedForm]) -> Found:
             break
     if best[0] == len(whole.y):
         return Found(whole=whole, kept=whole)
-    if best[0] >= SHORT:
-        return Found(whole=whole, kept=whole.first_samples(best[0]))
+    kept = whole.first_samples(best[0])
+    if best[0] >= SHORT and np.isfinite(kept.y).any(axis=1).sum() >= MEASURED:
+        return Found(whole=whole, kept=kept)
     if (told := _without_values(spec, forms, whole, best[0])) is not None:
         raise told
     plain, _ = trial(spec)  # another defect
@@ -179,7 +183,7 @@ def trial(spec: Spec, given: Gentle = PLAIN, *, steady: bool = False) -> tuple[R
     u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
     u = given.inputs(u)
     y, drawn = draw_record(spec, parameters, u, rng, scale=given.noise)
-    lasting = int(np.append(np.isfinite(y).all(axis=1), False).argmin())
+    lasting = samples_with_values(y)
     if steady:
         drawn = {name: np.full(T, spec.defaults[name]) for name in drawn}
     else:
@@ -192,6 +196,11 @@ def trial(spec: Spec, given: Gentle = PLAIN, *, steady: bool = False) -> tuple[R
         missing[2] = True
         y[missing] = np.nan
     return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec, drawn)), lasting
+
+
+def samples_with_values(y: Array) -> int:
+    """At how many samples, from the first one on, a record as it was drawn has values."""
+    return int(np.append(np.isfinite(y).all(axis=1), False).argmin())
 
 
 def _disturb(spec: Spec, y: Array, rng: np.random.Generator) -> None:
