@@ -481,18 +481,22 @@ ATTITUDE_INLINE void attitude_copy(const double *from, double *to, int size)
 
 /* ---- products of matrices ---- */
 
-/* Vectors of four where compiler and machine have them. Every element is one sum in ascending order
- * either way: the same bits. */
+/* Vectors as wide as registers, where compiler and machine have them. Every element is one sum in
+ * ascending order either way: the same bits. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__) && (defined(__SSE2__) || defined(__aarch64__))
+#if defined(__AVX__)
 #define ATTITUDE_WIDTH 4
-typedef double attitude_vector_t __attribute__((vector_size(4 * sizeof(double)),
+#else
+#define ATTITUDE_WIDTH 2
+#endif
+typedef double attitude_vector_t __attribute__((vector_size(ATTITUDE_WIDTH * sizeof(double)),
     aligned(sizeof(double)), may_alias));
 #else
 #define ATTITUDE_WIDTH 1
 typedef double attitude_vector_t;
 #endif
 /* gcc would read a factor anew for every row. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__AVX__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__SSE2__)
 #define ATTITUDE_IN_REGISTER(b) __asm__("" : "+x"(b))
 #else
 #define ATTITUDE_IN_REGISTER(b) ((void)0)
