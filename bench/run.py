@@ -12,19 +12,19 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # works with and without an installation
 
 import clock  # noqa: E402
-import files  # noqa: E402
-import memory  # noqa: E402
-import rates  # noqa: E402
-import records  # noqa: E402
-import sizes  # noqa: E402
-import startup  # noqa: E402
-import steps  # noqa: E402
-import switching  # noqa: E402
-import trials  # noqa: E402
-from contenders import FLAGS  # noqa: E402
-from report import Table  # noqa: E402
+from tables import files  # noqa: E402
+from tables import memory  # noqa: E402
+from tables import rates  # noqa: E402
+from tables import records  # noqa: E402
+from tables import sizes  # noqa: E402
+from tables import startup  # noqa: E402
+from tables import steps  # noqa: E402
+from tables import switching  # noqa: E402
+from tables import trials  # noqa: E402
+from rivals.contenders import FLAGS  # noqa: E402
+from harness.report import Table  # noqa: E402
 from rich.console import Console  # noqa: E402
-from settings import Settings  # noqa: E402
+from harness.settings import Settings  # noqa: E402
 
 PARTS = {
     "hand": steps.against_hand,

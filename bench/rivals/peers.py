@@ -6,7 +6,7 @@ import importlib.util
 import warnings
 from collections.abc import Callable
 
-import models
+from harness import models
 import numpy as np
 
 Filter = Callable[[models.Array], models.Array]

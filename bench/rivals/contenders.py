@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import hand
-import models
+from rivals import hand
+from harness import models
 import numpy as np
 
 import fkgen

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import clock
-import contenders
-import models
+from harness import clock
+from rivals import contenders
+from harness import models
 import numpy as np
-import peers
-from report import Table, ns, times
-from settings import Settings
+from rivals import peers
+from harness.report import Table, ns, times
+from harness.settings import Settings
 
 Call = Callable[[], object]
 

@@ -10,7 +10,7 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import models
+from harness import models
 import numpy as np
 
 Filter = Callable[[models.Array], models.Array]

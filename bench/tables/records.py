@@ -6,12 +6,12 @@ import ctypes
 import subprocess
 from collections.abc import Callable, Sequence
 
-import clock
-import contenders
-import models
+from harness import clock
+from rivals import contenders
+from harness import models
 import numpy as np
-from report import Table, ns, times, verdict
-from settings import Settings
+from harness.report import Table, ns, times, verdict
+from harness.settings import Settings
 
 import fkgen
 from fkgen.symbolic.interface import Port

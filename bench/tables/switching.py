@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import clock
-import contenders
-import models
+from harness import clock
+from rivals import contenders
+from harness import models
 import numpy as np
-import switching_peers
-from contenders import Contender
-from report import Table, ns, times, verdict
-from settings import Settings
+from rivals import switching_peers
+from rivals.contenders import Contender
+from harness.report import Table, ns, times, verdict
+from harness.settings import Settings
 
 import fkgen
 
