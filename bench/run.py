@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
+import platform
+import re
 import subprocess
 import sys
 import tempfile
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # works with and without an installation
 
-import clock  # noqa: E402
-from tables import files  # noqa: E402
-from tables import memory  # noqa: E402
-from tables import rates  # noqa: E402
-from tables import records  # noqa: E402
-from tables import sizes  # noqa: E402
-from tables import startup  # noqa: E402
-from tables import steps  # noqa: E402
-from tables import switching  # noqa: E402
-from tables import trials  # noqa: E402
-from rivals.contenders import FLAGS  # noqa: E402
+from harness import clock, figure  # noqa: E402
 from harness.report import Table  # noqa: E402
-from rich.console import Console  # noqa: E402
 from harness.settings import Settings  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rivals.contenders import FLAGS  # noqa: E402
+from tables import (  # noqa: E402
+    anchors,
+    batches,
+    files,
+    growth,
+    memory,
+    rates,
+    records,
+    sizes,
+    startup,
+    steps,
+    switching,
+    trials,
+)
 
 PARTS = {
+    "anchors": anchors.hand,
+    "slingen": anchors.slingen,
+    "growth": growth.growth,
+    "batches": batches.lanes,
     "hand": steps.against_hand,
     "libraries": steps.against_libraries,
     "imm": switching.models_side_by_side,
@@ -66,7 +80,11 @@ def main() -> None:
             tables.append(PARTS[name](settings))
             tables[-1].show(console)
     if options.write:
-        target = ROOT / "docs" / "benchmarks.md"
+        docs = ROOT / "docs"
+        for table in tables:
+            for name, (curves, unit) in table.curves.items():
+                figure.growth(docs / name, curves, table.title, unit)
+        target = docs / "benchmarks.md"
         target.write_text(_page(settings, tables), encoding="utf-8")
         console.print(f"wrote {target.relative_to(ROOT)}")
 
@@ -80,10 +98,39 @@ def _page(settings: Settings, tables: list[Table]) -> str:
         f"All take turns on one core, {settings.rounds} rounds and {settings.seconds:g} s or more.",
         "Times depend on the machine, ratios much less.",
         "",
-        f"Compilers: {'; '.join(versions)}. Flags: `{' '.join(FLAGS)}`, no `-march`.",
+        f"Machine: {_processor()}, {os.cpu_count()} cores. Compilers: {'; '.join(versions)}.",
+        f"Libraries: {', '.join(_libraries())}.",
+        f"Flags: `{' '.join(FLAGS)}`, no `-march`, where nothing else is said.",
+        "",
+        "## Where we lose",
+        "",
+        "Every target that is missed in the tables below.",
         "",
     ]
-    return "\n".join([*head, *[table.markdown() for table in tables]])
+    lost = [f"- {table.title}: {line}" for table in tables for line in table.missed()]
+    return "\n".join([*head, *lost, "", *[table.markdown() for table in tables]])
+
+
+def _processor() -> str:
+    """The model as the system names it."""
+    information = Path("/proc/cpuinfo")
+    text = information.read_text(encoding="utf-8") if information.exists() else ""
+    found = re.search(r"model name\s*:\s*(.+)", text)
+    return f"{found[1]} ({platform.machine()})" if found else platform.machine()
+
+
+def _libraries() -> list[str]:
+    """Versions of what is measured, as far as it is installed."""
+    found = [f"Python {platform.python_version()}"]
+    for name in ("numpy", "numba", "filterpy", "statsmodels", "simdkalman"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found.append(f"{name} {metadata.version(name)}")
+    macros = Path("/usr/include/eigen3/Eigen/src/Core/util/Macros.h")
+    if macros.exists():
+        text = macros.read_text(encoding="utf-8")
+        parts = re.findall(r"#define EIGEN_(?:WORLD|MAJOR|MINOR)_VERSION (\d+)", text)
+        found.append(f"Eigen {'.'.join(parts)}")
+    return found
 
 
 def _version(compiler: str) -> str:

@@ -27,6 +27,22 @@ static side_t sides[2], *old, *new;
 static double P[%(P)d] ALIGNED, x[%(NP)d] ALIGNED;
 static const int everything[%(p)d] = { %(ones)s };
 """
+BEGIN = """
+INLINE const double *expected(void) { return old->m; }
+
+INLINE void again(const int *present) { eliminate(old, present); }
+
+static void begin(void)
+{
+    memset(sides, 0, sizeof sides);
+    memset(P, 0, sizeof P);
+    memset(x, 0, sizeof x);
+    memcpy(P, P0s, sizeof P0s);
+    old = &sides[0];
+    new = &sides[1];
+    (void)move(old);
+}
+"""
 STEP = """
 if (!(old->least > 0.0)) { status[t] = -3; return t; }
 correct(e);
@@ -52,11 +68,7 @@ def augmented(model: dict[str, Any], size: tuple[int, int] = (4, 2)) -> str:
         _eliminations(s),
         _move(s, size, limit),
         _correct(s),
-        "INLINE const double *expected(void) { return old->m; }\n",
-        "INLINE void again(const int *present) { eliminate_some(old, present); }\n",
-        "static void begin(void) { memset(sides, 0, sizeof sides); memset(P, 0, sizeof P); "
-        "memcpy(P, P0s, sizeof P0s); memset(x, 0, sizeof x); old = &sides[0]; new = &sides[1]; "
-        "(void)move(old); }\n",
+        BEGIN,
         text.record(s, STEP),
     ]
     return "".join(parts)
@@ -76,7 +88,7 @@ def _product(s: Sizes, size: tuple[int, int], rows: int, first: int) -> str:
         kept = [f"STORE({at % cell}, c{cell[0]}{cell[1]});" for cell in cells]
         if first:
             kept += [f"sum{v % 2} += MAGNITUDE(c{r}{v});" for r, v in cells]
-        return text.tile(height, width, lambda r, v: "zero", [link], kept)
+        return text.tile(height, width, lambda _r, _v: "zero", [link], kept)
 
     return text.tiled(rows, s.W, size, make)
 
@@ -109,9 +121,7 @@ def _block(s: Sizes, first: int, present: str) -> tuple[str, str]:
             for v in range(width)
         ]
         start = f"LOAD(Z0 + %d + {place})"
-        return text.tile(
-            height, width, lambda r, v: start % ((first + r) * s.ZW, v), links, kept
-        )
+        return text.tile(height, width, lambda r, v: start % ((first + r) * s.ZW, v), links, kept)
 
     found = [text.tiled(rows, s.G + s.W, (4, 2), make), "{"]
     found += [
@@ -138,12 +148,14 @@ def _elimination(s: Sizes, present: str, between: str) -> str:
     for first in range(0, s.p, LANES):
         found, done = _block(s, first, present)
         lines += [found, "" if first else between, done]
-    return "\n".join([*lines, *[f"side->d[{a}] = d{a};" for a in range(s.p)], "side->least = least;"])
+    return "\n".join(
+        [*lines, *[f"side->d[{a}] = d{a};" for a in range(s.p)], "side->least = least;"]
+    )
 
 
 def _eliminations(s: Sizes) -> str:
     """With rows missing: seldom, so kept apart."""
-    head = "static __attribute__((noinline)) void eliminate_some(side_t *side, const int *present)"
+    head = "static __attribute__((noinline)) void eliminate(side_t *side, const int *present)"
     return f"{head}\n{{\nint i, j, k;\n{_elimination(s, 'present', '')}\n}}\n"
 
 
@@ -165,14 +177,14 @@ def _move(s: Sizes, size: tuple[int, int], limit: float) -> str:
 
 
 def _means(s: Sizes) -> str:
-    """m = [CA; A] x, a few vectors at a time."""
+    """M = [CA; A] x, a few vectors at a time."""
 
     def make(height: int, width: int) -> str:
         place = f"(j + %d) * {LANES}"
-        link = Link(s.n, lambda r: "x[k]", lambda v: f"columns + k * {s.ZW} + {place % v}")
+        link = Link(s.n, lambda _: "x[k]", lambda v: f"columns + k * {s.ZW} + {place % v}")
         kept = [f"STORE(side->m + {place % v}, c0{v});" for v in range(width)]
         kept += [f"sum{v % 2} += MAGNITUDE(c0{v});" for v in range(width)]
-        return text.tile(height, width, lambda r, v: "zero", [link], kept)
+        return text.tile(height, width, lambda _r, _v: "zero", [link], kept)
 
     return text.tiled(1, s.G + s.W, (1, 6), make)
 
@@ -192,7 +204,7 @@ def correct_mean(s: Sizes) -> list[str]:
 
 
 def _correct(s: Sizes) -> str:
-    """x and P given the sample: P = Q + T A' - W' g, lower blocks of four rows, mirrored."""
+    """X and P given the sample: P = Q + T A' - W' g, lower blocks of four rows, mirrored."""
     lines = correct_mean(s)
     whole, left = divmod(s.n, LANES)
     pairs = whole - whole % 2

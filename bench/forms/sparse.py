@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from forms import text
-from forms.augmented import DECLARED, STEP, correct_mean
+from forms.augmented import BEGIN, DECLARED, STEP, correct_mean
 from forms.text import LANES, Array, Sizes
 
 
@@ -32,11 +32,7 @@ def sparse(model: dict[str, Any]) -> str:
             _eliminate(s, CA),
             _move(s, A, CA, limit),
             _correct(s, A),
-            "INLINE const double *expected(void) { return old->m; }\n",
-            "INLINE void again(const int *present) { eliminate(old, present); }\n",
-            "static void begin(void) { memset(sides, 0, sizeof sides); memset(P, 0, sizeof P); "
-            "memcpy(P, P0s, sizeof P0s); memset(x, 0, sizeof x); old = &sides[0]; "
-            "new = &sides[1]; (void)move(old); }\n",
+            BEGIN,
             text.record(s, STEP),
         ]
     )
@@ -90,12 +86,16 @@ def _eliminate(s: Sizes, CA: Array) -> str:
     lines.append(f"ROLLED for (j = 0; j < {s.ZW}; j += {LANES}) {{")
     for r, row in enumerate(CA):
         at = f"{r * s.ZW} + j"
-        lines.append(f"STORE(side->Z + {at}, LOAD(Z0 + {at}) + {_sum(row, f'side->T + %d * {s.ZW} + j')});")
+        lines.append(
+            f"STORE(side->Z + {at}, LOAD(Z0 + {at}) + {_sum(row, f'side->T + %d * {s.ZW} + j')});"
+        )
     lines.append("}")
     for a in range(s.p):
         pivot = f"side->Z[{a * s.ZW + a}]"
         lines.append(f"{{ const double pivot = {pivot}, d = present[{a}] ? 1.0 / pivot : 0.0;")
-        lines.append(f"least = (present[{a}] && !(pivot >= least)) ? pivot : least; side->d[{a}] = d;")
+        lines.append(
+            f"least = (present[{a}] && !(pivot >= least)) ? pivot : least; side->d[{a}] = d;"
+        )
         later = range(a + 1, s.p)
         lines += [f"const double l{b} = side->Z[{a * s.ZW + b}] * d;" for b in later]
         lines.append(f"ROLLED for (j = {a // LANES * LANES}; j < {s.ZW}; j += {LANES}) {{")
@@ -109,7 +109,7 @@ def _eliminate(s: Sizes, CA: Array) -> str:
 
 
 def _correct(s: Sizes, A: Array) -> str:
-    """x and P given the sample: P = Q + A U - W' g, four rows at a time, mirrored."""
+    """X and P given the sample: P = Q + A U - W' g, four rows at a time, mirrored."""
     lines = correct_mean(s)
     for block in range(s.W):
         first = block * LANES
@@ -119,9 +119,7 @@ def _correct(s: Sizes, A: Array) -> str:
         for r, row in enumerate(rows):
             total = _sum(row, f"old->T + %d * {s.ZW} + {s.PP} + j")
             lines.append(f"vec c{r}0 = LOAD(Qs + {(first + r) * s.NP} + j) + ({total});")
-            lines += [
-                f"c{r}0 -= old->Z[{a * s.ZW + s.PP + first + r}] * g{a};" for a in range(s.p)
-            ]
+            lines += [f"c{r}0 -= old->Z[{a * s.ZW + s.PP + first + r}] * g{a};" for a in range(s.p)]
         lines.append(text.mirrored(len(rows), 0))
         lines += [f"if (j == {first}) {{", *text.diagonal(len(rows), 0), "} else {"]
         lines += [f"STORE(P + (j + {r}) * {s.NP} + {first}, mirror[{r}]);" for r in range(LANES)]

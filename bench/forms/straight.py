@@ -41,9 +41,10 @@ def straight(model: dict[str, Any]) -> str:
     limit = float(np.finfo(float).max / 4 / max(1.0, np.abs(A).max(), np.abs(CA).max()))
     held = (s.n + s.p) * s.NP, s.p * s.NP, s.ZW, s.n * s.NP, s.NP, limit
     move = _move(s)
+    prior = " ".join(f"P{i}_{v} = LOAD(P0s + {i * s.NP + v * LANES});" for i, v in _all(s))
     begin = f"""
 #define begin() memset(sides, 0, sizeof sides); memset(x, 0, sizeof x); \\
-    old = &sides[0]; new = &sides[1]; {"".join(f" P{i}_{v} = LOAD(P0s + {i * s.NP + v * LANES});" for i, v in _all(s))} \\
+    old = &sides[0]; new = &sides[1]; {prior} \\
     turn = new; new = old; {" ".join(move.splitlines())} new = turn
 #define again(present) {" ".join(_again(s).splitlines())}
 """
@@ -77,19 +78,20 @@ def _locals(s: Sizes) -> str:
     vectors = ["sum0 = zero", "sum1 = zero", *[f"P{i}_{v} = zero" for i, v in _all(s)]]
     vectors += [f"{k}{a}_{v} = zero" for k in "wg" for a in range(s.p) for v in range(s.W)]
     return (
-        "    const vec zero = ALL(0.0);\n    vec mirror[4];\n    static const int everything[4] = { 1, 1, 1, 1 };\n"
+        "    const vec zero = ALL(0.0);\n    vec mirror[4];\n"
+        "    static const int everything[4] = { 1, 1, 1, 1 };\n"
         f"    double {', '.join(numbers)};\n    vec {', '.join(vectors)};\n"
     )
 
 
-def _sums(
+def _sums(  # noqa: PLR0917 - what stands in a sum
     name: str,
     rows: Iterable[int],
     vectors: Sequence[int],
     count: int,
     a: Callable[[int, int], str],
     b: Callable[[int, int], str],
-    start: Callable[[int, int], str] = lambda r, v: "zero",
+    start: Callable[[int, int], str] = lambda _r, _v: "zero",
 ) -> list[str]:
     """name{r}_{v} = start + sum over k of a(r, k) b(k, v), a link of all sums after the other."""
     each = list(rows)
@@ -107,7 +109,9 @@ def _sums(
 def _rows_of_T(s: Sizes, rows: Sequence[int]) -> list[str]:
     """Rows of T = [CA; A] P, stored; those of A are summed for the test."""
     every = range(s.W)
-    lines = _sums("t", rows, every, s.n, lambda r, k: f"rows[{r * s.n + k}]", lambda k, v: f"P{k}_{v}")
+    lines = _sums(
+        "t", rows, every, s.n, lambda r, k: f"rows[{r * s.n + k}]", lambda k, v: f"P{k}_{v}"
+    )
     for r in rows:
         lines += [f"STORE(new->T + {r * s.NP + v * LANES}, t{r}_{v});" for v in every]
         lines += [f"sum{v % 2} += MAGNITUDE(t{r}_{v});" for v in every if r >= s.p]
@@ -134,7 +138,7 @@ def _move(s: Sizes) -> str:
     lines += _eliminated(s, "new")
     lines += _sums(
         "m", [0], columns, s.n,
-        lambda r, k: f"x[{k}]",
+        lambda _, k: f"x[{k}]",
         lambda k, v: f"LOAD(columns + {k * s.ZW + v * LANES})",
     )  # fmt: skip
     for v in columns:
@@ -169,7 +173,7 @@ def _again(s: Sizes) -> str:
 
 
 def _correct(s: Sizes) -> str:
-    """x and P given the sample."""
+    """X and P given the sample."""
     lines = []
     for a in range(s.p):
         earlier = "".join(f" - l{a}{b} * u{b}" for b in range(a))

@@ -2,7 +2,8 @@
 
 A printed file has one function,
 
-    int64_t form_run(int64_t samples, const double *y, int32_t *status, double *state, double *covariance)
+    int64_t form_run(int64_t samples, const double *y, int32_t *status, double *state,
+                     double *covariance)
 
 which filters a record from x = 0, P(0|0) = P0 of the model (its first sample comes after one
 prediction), writes the status and x(k|k) of every sample and P(T|T), and returns the samples that
@@ -112,7 +113,7 @@ def tile(
     links: Sequence[Link],
     finish: Sequence[str],
 ) -> str:
-    """rows x vectors accumulators c00, c01, .. that stay in registers while k runs."""
+    """Rows x vectors accumulators c00, c01, .. that stay in registers while k runs."""
     text = ["{"]
     for r in range(rows):
         each = ", ".join(f"c{r}{v} = {start(r, v)}" for v in range(vectors))
@@ -173,7 +174,8 @@ def mirrored(rows: int, column: int) -> str:
 def record(sizes: Sizes, step: str) -> str:
     """The function: its loop, around a call that returns nonzero for a result that is finite."""
     return f"""
-int64_t form_run(int64_t samples, const double *y, int32_t *status, double *state, double *covariance)
+int64_t form_run(int64_t samples, const double *y, int32_t *status, double *state,
+    double *covariance)
 {{
     int64_t t;
     int i, j;

@@ -14,6 +14,7 @@ typedef int64_t mask __attribute__((vector_size(32)));
 #define STORE(to, value) (*(vec *)(to) = (value))
 #define ALL(a) ((vec){ (a), (a), (a), (a) })
 #define MAGNITUDE(v) ((vec)((mask)(v) & INT64_MAX))
+#define SELECT(where, a, b) ((vec)(((where) & (mask)(a)) | (~(where) & (mask)(b))))
 #define TOTAL(v) (((v)[0] + (v)[1]) + ((v)[2] + (v)[3]))
 
 /* The value stays in its register: else gcc loads it again for every row that it is multiplied with. */

@@ -107,7 +107,7 @@ def square(n: int) -> Spec:
 
 
 def navigation() -> Spec:
-    """Errors of an inertial navigation: position, velocity, attitude, biases; a fix of the first two."""
+    """Errors of inertial navigation: position, velocity, attitude, biases; the first two fixed."""
     step, turn = 0.01, np.array([[0.0, -9.81, 0.3], [9.81, 0.0, -0.2], [-0.3, 0.2, 0.0]])
     one, none = np.eye(3), np.zeros((3, 3))
     A = np.block(

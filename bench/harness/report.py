@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from rich.console import Console
 from rich.table import Table as RichTable
 
+#: Points (n, value) of each curve, and the unit of the values.
+Figure = tuple[dict[str, list[tuple[int, float]]], str]
+
 
 @dataclass
 class Table:
@@ -19,16 +22,35 @@ class Table:
     columns : sequence of str
     note : str
         What was measured, and what it is measured against.
+    curves : dict of str to Figure
+        Files of figures, and what they show.
     """
 
     title: str
     columns: Sequence[str]
     note: str
     rows: list[list[str]] = field(default_factory=list)
+    curves: dict[str, Figure] = field(default_factory=dict)
 
     def add(self, *cells: object) -> None:
         """Append a row."""
         self.rows.append([str(cell) for cell in cells])
+
+    def missed(self) -> list[str]:
+        """A line for each row in which a target is missed."""
+        lines = []
+        for row in self.rows:
+            cells = [
+                f"{column} {cell}".replace(" (missed)", "")
+                for column, cell in zip(self.columns[1:], row[1:], strict=True)
+                if "missed" in cell and cell != "missed"
+            ]
+            if "missed" in row:
+                cells.append(", ".join(cell for cell in row[1:] if cell not in {"", "missed"}))
+            if cells:
+                names = [cell for cell in row[1:2] if cell in {"gcc", "clang"}]
+                lines.append(f"{' '.join([row[0], *names])}: {'; '.join(cells)}")
+        return lines
 
     def show(self, console: Console) -> None:
         """Print."""

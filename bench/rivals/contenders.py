@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rivals import hand
-from harness import models
 import numpy as np
+from harness import models
+from rivals import hand
 
 import fkgen
 

@@ -6,8 +6,8 @@ import importlib.util
 import warnings
 from collections.abc import Callable
 
-from harness import models
 import numpy as np
+from harness import models
 
 Filter = Callable[[models.Array], models.Array]
 

@@ -7,8 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from harness import models
 import numpy as np
+from harness import models
 from harness.report import Table, verdict
 from harness.settings import Settings
 

@@ -8,11 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from harness import clock
-from rivals import contenders
-from harness import models
+from harness import clock, models
 from harness.report import Table, ns, verdict
 from harness.settings import Settings
+from rivals import contenders
 
 import fkgen
 

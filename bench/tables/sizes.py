@@ -6,10 +6,10 @@ import subprocess
 import time
 from pathlib import Path
 
-from rivals import contenders
 from harness import models
 from harness.report import Table, verdict
 from harness.settings import Settings
+from rivals import contenders
 
 import fkgen
 

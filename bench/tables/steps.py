@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from harness import clock
-from rivals import contenders
-from harness import models
 import numpy as np
-from rivals import peers
+from harness import clock, models
 from harness.report import Table, ns, times
 from harness.settings import Settings
+from rivals import contenders, peers
 
 Call = Callable[[], object]
 

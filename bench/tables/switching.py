@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from harness import clock
-from rivals import contenders
-from harness import models
 import numpy as np
-from rivals import switching_peers
-from rivals.contenders import Contender
+from harness import clock, models
 from harness.report import Table, ns, times, verdict
 from harness.settings import Settings
+from rivals import contenders, switching_peers
+from rivals.contenders import Contender
 
 import fkgen
 
