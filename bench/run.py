@@ -16,8 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # works with and without an installation
 
-from harness import clock, figure  # noqa: E402
-from harness.report import Table  # noqa: E402
+from harness import clock, figure, page  # noqa: E402
 from harness.settings import Settings  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rivals.contenders import FLAGS  # noqa: E402
@@ -36,6 +35,7 @@ from tables import (  # noqa: E402
     trials,
 )
 
+ROUNDS, SECONDS = 60, 3.0
 PARTS = {
     "anchors": anchors.hand,
     "slingen": anchors.slingen,
@@ -62,15 +62,13 @@ def main() -> None:
     """Measure what was asked for, print it, and write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=PARTS, nargs="+", help="some of the tables")
-    parser.add_argument("--rounds", type=int, default=60, help="turns of every contender")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of turns, at least")
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="turns of every contender")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of turns, at least")
     parser.add_argument(
         "--callgrind", action="store_true", help="count instructions too (valgrind)"
     )
-    parser.add_argument("--write", action="store_true", help="write docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="into docs/benchmarks.md")
     options = parser.parse_args()
-    if options.write and options.only:
-        parser.error("--write needs all tables")
     console = Console()
     clock.pin()
     with tempfile.TemporaryDirectory() as folder:
@@ -85,30 +83,26 @@ def main() -> None:
             for name, (curves, unit) in table.curves.items():
                 figure.growth(docs / name, curves, table.title, unit)
         target = docs / "benchmarks.md"
-        target.write_text(_page(settings, tables), encoding="utf-8")
+        usual = (options.rounds, options.seconds) == (ROUNDS, SECONDS)
+        effort = "" if usual else f" Here {options.rounds} rounds, {options.seconds:g} s or more."
+        measured = [table.section(effort) for table in tables]
+        text = page.renewed(target.read_text(encoding="utf-8"), _head(settings), measured)
+        target.write_text(text, encoding="utf-8")
         console.print(f"wrote {target.relative_to(ROOT)}")
 
 
-def _page(settings: Settings, tables: list[Table]) -> str:
-    versions = [_version(cc) for cc in settings.compilers]
-    head = [
-        "# Benchmarks",
-        "",
-        "Written by `python bench/run.py --write`; `make bench` measures without writing.",
-        f"All take turns on one core, {settings.rounds} rounds and {settings.seconds:g} s or more.",
-        "Times depend on the machine, ratios much less.",
-        "",
-        f"Machine: {_processor()}, {os.cpu_count()} cores. Compilers: {'; '.join(versions)}.",
-        f"Libraries: {', '.join(_libraries())}.",
-        f"Flags: `{' '.join(FLAGS)}`, no `-march`, where nothing else is said.",
-        "",
-        "## Where we lose",
-        "",
-        "Every target that is missed in the tables below.",
-        "",
-    ]
-    lost = [f"- {table.title}: {line}" for table in tables for line in table.missed()]
-    return "\n".join([*head, *lost, "", *[table.markdown() for table in tables]])
+def _head(settings: Settings) -> str:
+    versions = "; ".join(_version(cc) for cc in settings.compilers)
+    return f"""# Benchmarks
+
+Written by `python bench/run.py --write`; `make bench` measures without writing.
+All take turns on one core, {ROUNDS} rounds and {SECONDS:g} s or more where nothing else is said.
+Times depend on the machine, ratios much less.
+
+Machine: {_processor()}, {os.cpu_count()} cores. Compilers: {versions}.
+Libraries: {", ".join(_libraries())}.
+Flags: `{" ".join(FLAGS)}`, no `-march`, where nothing else is said.
+"""
 
 
 def _processor() -> str:

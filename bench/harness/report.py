@@ -36,22 +36,6 @@ class Table:
         """Append a row."""
         self.rows.append([str(cell) for cell in cells])
 
-    def missed(self) -> list[str]:
-        """A line for each row in which a target is missed."""
-        lines = []
-        for row in self.rows:
-            cells = [
-                f"{column} {cell}".replace(" (missed)", "")
-                for column, cell in zip(self.columns[1:], row[1:], strict=True)
-                if "missed" in cell and cell != "missed"
-            ]
-            if "missed" in row:
-                cells.append(", ".join(cell for cell in row[1:] if cell not in {"", "missed"}))
-            if cells:
-                names = [cell for cell in row[1:2] if cell in {"gcc", "clang"}]
-                lines.append(f"{' '.join([row[0], *names])}: {'; '.join(cells)}")
-        return lines
-
     def show(self, console: Console) -> None:
         """Print."""
         table = RichTable(title=self.title, caption=self.note, title_justify="left")
@@ -61,11 +45,11 @@ class Table:
             table.add_row(*row)
         console.print(table)
 
-    def markdown(self) -> str:
-        """The same as Markdown."""
+    def section(self, effort: str) -> tuple[str, str]:
+        """Title and text in Markdown; ``effort`` says how it was measured, if in no usual way."""
         rule = ["---", *["---:"] * (len(self.columns) - 1)]
         lines = [f"| {' | '.join(row)} |" for row in ([*self.columns], rule, *self.rows)]
-        return "\n".join([f"## {self.title}", "", self.note, "", *lines, ""])
+        return self.title, "\n".join(["", f"{self.note}{effort}", "", *lines, "", ""])
 
 
 def ns(seconds: float) -> str:

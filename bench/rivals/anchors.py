@@ -16,7 +16,7 @@ from forms.lanes import lanes
 from forms.scalar import scalar
 from forms.sparse import sparse
 from forms.straight import straight
-from harness import models
+from harness import clock, models
 from harness.settings import Settings
 
 import fkgen
@@ -89,17 +89,17 @@ def compiled_forms(
         source = place.with_suffix(".c")
         source.write_text(text)
         command = ["gcc", "-std=gnu99", *FLAGS, ROUNDING[fused], f"-I{HERE.parent / 'forms'}"]
-        subprocess.run([*command, str(source), "-o", str(place)], check=True)
+        _make([*command, str(source)], place)
         calls[name] = record(place, spec, y, missing=True)
     return calls
 
 
-def eigen(spec: models.Spec, y: models.Array, folder: Path, *, fused: bool = False) -> Call | None:
-    """Fixed sizes; None without Eigen."""
+def eigen(spec: models.Spec, y: models.Array, folder: Path) -> Call | None:
+    """Fixed sizes, contraction as gcc likes; None without Eigen."""
     if not EIGEN.is_dir():
         return None
     n, p, _ = models.width(spec)
-    place = folder / f"{spec['name']}-eigen{'-fma' if fused else ''}.so"
+    place = folder / f"{spec['name']}-eigen.so"
     table = place.with_suffix(".inc")
     lines = []
     for name in ("A", "C", "Q", "R", "P0"):
@@ -109,10 +109,15 @@ def eigen(spec: models.Spec, y: models.Array, folder: Path, *, fused: bool = Fal
     defines = ["-DNDEBUG", f"-DNX={n}", f"-DNY={p}", f'-DMODEL="{table}"', f"-I{EIGEN}"]
     flags = [flag for flag in FLAGS if "slp" not in flag]
     source = HERE / "c" / "eigen_record.cpp"
-    subprocess.run(
-        ["g++", *flags, ROUNDING[fused], *defines, str(source), "-o", str(place)], check=True
-    )
+    _make(["g++", *flags, *defines, str(source)], place)
     return record(place, spec, y, missing=False)
+
+
+def _make(command: list[str], place: Path) -> None:
+    """Compile, unless another table did: names are those of models."""
+    if not place.exists():
+        with clock.unpinned():
+            subprocess.run([*command, "-o", str(place)], check=True)
 
 
 def record(place: Path, spec: models.Spec, y: models.Array, *, missing: bool) -> Call:
@@ -190,7 +195,8 @@ def compiled_lanes(spec: models.Spec, y: models.Array, folder: Path) -> Call:
 def of_fkgen(spec: models.Spec, y: models.Array, **code: Any) -> Call | None:
     """`run` of what is generated, or None if this fkgen has no such option."""
     try:
-        built = fkgen.build(fkgen.Spec.from_dict(models.with_code(spec, **code)))
+        with clock.unpinned():
+            built = fkgen.build(fkgen.Spec.from_dict(models.with_code(spec, **code)))
     except fkgen.UserError:
         return None
     if y.ndim == 3:

@@ -1,4 +1,4 @@
-"""The same filter in Python: filterpy, numba, NumPy by hand; each returns x(T|T) of a record."""
+"""The same filter in Python, by what is installed; each returns x(T|T) of a record."""
 
 from __future__ import annotations
 
@@ -24,7 +24,16 @@ def available(spec: models.Spec) -> dict[str, Filter]:
             warnings.simplefilter("ignore")
             compiled = numba.njit(textbook)
         found["numba, njit"] = lambda y: compiled(*_matrices(spec), y)
+    if importlib.util.find_spec("statsmodels"):
+        found["statsmodels"] = lambda y: _statsmodels(spec, y)
+    if importlib.util.find_spec("simdkalman"):
+        found["simdkalman"] = lambda y: _simdkalman(spec, y)
     return found
+
+
+def whole_records() -> set[str]:
+    """Names of those that take a record in one call of compiled code."""
+    return {"numba, njit", "statsmodels"}
 
 
 def _matrices(spec: models.Spec) -> tuple[models.Array, ...]:
@@ -67,4 +76,32 @@ def _filterpy(spec: models.Spec, y: models.Array) -> models.Array:
         f.update(row)
         filtered = f.x
         f.predict()
+    return filtered
+
+
+def _statsmodels(spec: models.Spec, y: models.Array) -> models.Array:
+    from statsmodels.tsa.statespace.kalman_filter import KalmanFilter  # noqa: PLC0415 - optional
+
+    A, C, Q, R, P = _matrices(spec)
+    f = KalmanFilter(k_endog=len(C), k_states=len(A))
+    f.bind(y)
+    f["transition"], f["design"], f["selection"] = A, C, np.eye(len(A))
+    f["state_cov"], f["obs_cov"] = Q, R
+    f.initialize_known(np.zeros(len(A)), P)
+    filtered: models.Array = f.filter().filtered_state[:, -1]
+    return filtered
+
+
+def _simdkalman(spec: models.Spec, y: models.Array) -> models.Array:
+    import simdkalman  # noqa: PLC0415 - optional
+
+    A, C, Q, R, P = _matrices(spec)
+    f = simdkalman.KalmanFilter(
+        state_transition=A, process_noise=Q, observation_model=C, observation_noise=R
+    )
+    found = f.compute(
+        y[None], 0, initial_value=np.zeros(len(A)), initial_covariance=P, filtered=True,
+        smoothed=False,
+    )  # fmt: skip
+    filtered: models.Array = found.filtered.states.mean[0, -1]
     return filtered

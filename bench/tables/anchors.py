@@ -41,17 +41,17 @@ def samples(n: int) -> int:
     return int(_WORK / (1e-9 * (20 + 0.14 * n**3)))
 
 
-def measure(spec: models.Spec, settings: Settings, *, fused: bool, rounds: int = 0) -> Measured:
-    """All take turns; the best form is the one with the least time."""
+def measure(spec: models.Spec, settings: Settings, *, fused: bool = False) -> Measured | None:
+    """All take turns; the best form is the one with the least time. None if fkgen cannot fuse."""
     y, _ = models.record(spec, max(60, samples(models.width(spec)[0])))
+    own = anchors.of_fkgen(spec, y, **({"fma": True} if fused else {}))
+    if fused and own is None:
+        return None
     calls = anchors.compiled_forms(spec, y, settings.folder, fused=fused)
     forms = list(calls)
-    others = {
-        "fkgen": anchors.of_fkgen(spec, y, **({"fma": True} if fused else {})),
-        "Eigen": anchors.eigen(spec, y, settings.folder, fused=fused),
-    }
+    others = {"fkgen": own, "Eigen": anchors.eigen(spec, y, settings.folder)}
     calls |= {name: call for name, call in others.items() if call}
-    taken = clock.take_turns(calls, rounds or settings.rounds, settings.seconds / 2)
+    taken = clock.take_turns(calls, settings.rounds, settings.seconds / 2)
     form = min(forms, key=taken.best)
     step = {"hand": taken.best(form) / len(y)}
     step |= {name: taken.best(name) / len(y) for name in others if name in calls}
@@ -89,42 +89,42 @@ def hand(settings: Settings) -> Table:
         "A step of `run(..., keep=['filtered_state'])` beside records in C, all at -O3 "
         "-march=native, the fkgen library by its own flags. Hand: GCC vector types (bench/forms), "
         "with missing rows, infinite y, pivots, finite results, nis and status; Eigen: fixed "
-        "sizes, textbook form, none of these. With fma: contraction on, `code.fma` where fkgen "
+        "sizes, textbook form, none of these. With fma: contraction on, `code.fma`, if fkgen "
         "has it. All found equal to NumPy first. Peak: independent multiply-adds of one core, "
-        f"measured: {{peak}}. Share of it: flops of the cheapest dense step. Targets: {_HAND:g} of "
+        "measured: {peak}. Share of it: flops of the cheapest dense step. Targets: {_HAND:g} of "
         f"the hand-written form; of Eigen {_EIGEN_ELSE}, {_EIGEN[4]} at n4 and n6, {_EIGEN[32]} "
         "at n32.",
     )
     core = anchors.machine(settings)
-    peak = ", ".join(
-        f"{core.flops[fused] * 1e-9:.1f} GFLOP/s {'fused' if fused else 'apart'}"
-        for fused in (False, True)
-    )
-    table.note = table.note.replace("{peak}", peak)
+    apart, fused = (f"{core.flops[kind] * 1e-9:.1f} GFLOP/s" for kind in (False, True))
+    table.note = table.note.replace("{peak}", f"{apart} apart, {fused} fused")
     specs = {f"n{n} p{p}": models.dense(n, p) for n, p in _DENSE}
     specs |= {f"chains n{n} p{p}": models.chains(n, p) for n, p in _CHAINS}
     specs["navigation n15 p6"] = models.navigation()
     for title, spec in specs.items():
-        n, p, _ = models.width(spec)
-        dense = title.startswith("n") and "navigation" not in title
-        for fused in (False, True):
-            found = measure(spec, settings, fused=fused)
-            shares = [
-                f"{flops(n, p) / found.step[name] / core.flops[fused]:.0%}"
-                if dense and name in found.step
-                else ""
-                for name in ("fkgen", "hand")
-            ]
-            step = {name: ns(value) for name, value in found.step.items()}
-            limit = _EIGEN.get(n, _EIGEN_ELSE) if dense else 1.0
-            cells = [step.get("fkgen", "absent"), step["hand"], found.form]
-            cells += [step.get("Eigen", "absent")]
-            cells += [_judged(found.ratio.get(("fkgen", "hand")), _HAND)]
-            cells += [_judged(found.ratio.get(("fkgen", "Eigen")), limit)]
-            both = found.ratio.get(("hand", "Eigen"))
-            cells += ["absent" if both is None else times(both)]
-            table.add(title, "yes" if fused else "no", *cells, *shares)
+        for fuse in (False, True):
+            found = measure(spec, settings, fused=fuse)
+            if found:
+                dense = title in {f"n{n} p{p}" for n, p in _DENSE}
+                peak = core.flops[fuse] if dense else None
+                table.add(title, "yes" if fuse else "no", *_cells(spec, found, peak))
     return table
+
+
+def _cells(spec: models.Spec, found: Measured, peak: float | None) -> list[str]:
+    """Of a row; shares of the peak for dense models only."""
+    n, p, _ = models.width(spec)
+    step = {name: ns(value) for name, value in found.step.items()}
+    limit = _EIGEN.get(n, _EIGEN_ELSE) if peak else 1.0
+    both = found.ratio.get(("hand", "Eigen"))
+    cells = [step.get("fkgen", "absent"), step["hand"], found.form, step.get("Eigen", "absent")]
+    cells.append(_judged(found.ratio.get(("fkgen", "hand")), _HAND))
+    cells.append(_judged(found.ratio.get(("fkgen", "Eigen")), limit))
+    cells.append("absent" if both is None else times(both))
+    for name in ("fkgen", "hand"):
+        share = flops(n, p) / found.step[name] / peak if peak and name in found.step else None
+        cells.append("" if share is None else f"{share:.0%}")
+    return cells
 
 
 def slingen(settings: Settings) -> Table:
@@ -139,7 +139,9 @@ def slingen(settings: Settings) -> Table:
         f"{core.cycles * 1e-9:.2f} GHz. Target: at most {_CYCLES} of SLinGen.",
     )
     for n, published in _SLINGEN.items():
-        found = measure(models.square(n), settings, fused=False)
+        found = measure(models.square(n), settings)
+        if found is None:
+            continue
         cycles = {name: value * core.cycles for name, value in found.step.items()}
         cells = [
             f"{cycles[name]:.0f}" if name in cycles else "absent"

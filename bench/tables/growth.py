@@ -12,7 +12,7 @@ from tables.anchors import flops, samples
 
 _STATES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 _PATIENCE = 12.0  # seconds for a build; the next larger one is not tried
-_EIGEN_MOST = 32  # compiling it takes minutes beyond
+_EIGEN_MOST = 16  # compiling it takes minutes beyond
 _FEW = 30  # samples for what is interpreted
 
 
@@ -81,7 +81,7 @@ def _measure(
     eigen = anchors.eigen(spec, y, settings.folder) if n <= _EIGEN_MOST else None
     calls |= {"Eigen": eigen} if eigen else {}
     for name, run in peers.available(spec).items():
-        rows = y if "numba" in name else y[:_FEW]
+        rows = y if name in peers.whole_records() else y[:_FEW]
         calls[name], counts[name] = (lambda run=run, rows=rows: run(rows)), len(rows)
     taken = clock.take_turns(calls, max(5, settings.rounds // 6), settings.seconds / 3)
     steps = {name: taken.best(name) / counts.get(name, len(y)) for name in calls}
