@@ -35,6 +35,10 @@ class Operator(Enum):
     SUB = "-"
     MUL = "*"
     DIV = "/"
+    #: a b + c, a b - c and c - a b, rounded once
+    FMA = "fma"
+    FMS = "fms"
+    FNMA = "fnma"
     NEG = "neg"
     ABS = "abs"
     MAX = "max"
@@ -68,6 +72,10 @@ class Operator(Enum):
 #: Operators that are functions in C.
 FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
+
+
+#: Operators that are a product and a sum in one rounding.
+FUSED = frozenset({Operator.FMA, Operator.FMS, Operator.FNMA})
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +231,8 @@ class Product:
 
     Elements are indexed by ``i``, ``j`` and ``k``. Every sum is one chain in ascending order of k,
     from ``start`` or from its first product; ``less``: products are subtracted; ``lower``: entries
-    on and below the diagonal only.
+    on and below the diagonal only; ``fused``: every
+    further product is rounded together with the sum before it.
     """
 
     target: Element
@@ -235,6 +244,7 @@ class Product:
     inner: int
     less: bool
     lower: bool
+    fused: bool = False
 
     @property
     def loops(self) -> tuple[For, ...]:
@@ -254,9 +264,31 @@ class Product:
     def operators(self) -> Counter[Operator]:
         """Its operations."""
         added = self.terms - (self.terms // self.inner if self.start is None else 0)
-        return Counter(
-            {Operator.MUL: self.terms, (Operator.SUB if self.less else Operator.ADD): added}
-        )
+        apart = self.terms - added if self.fused else self.terms
+        return Counter({Operator.MUL: apart, self.adding: added})
+
+    @property
+    def adding(self) -> Operator:
+        """How a product comes to the sum before it."""
+        if self.fused:
+            return Operator.FNMA if self.less else Operator.FMA
+        return Operator.SUB if self.less else Operator.ADD
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle:
+    """``target[i, j] = source[i, j]`` for j <= i < size; ``mirrored``: ``target[j, i]`` as well."""
+
+    target: Element
+    source: Element
+    size: int
+    mirrored: bool
+
+    @property
+    def loops(self) -> tuple[For, ...]:
+        """What its indices run over: both do everywhere where it is mirrored."""
+        columns: Whole = self.size if self.mirrored else variable("i") + 1
+        return For("i", 0, self.size, ()), For("j", 0, columns, ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +314,8 @@ class Call:
 
 Condition = IfPresent | IfPositive
 Nested = Condition | For
-Statement = Operate | Copy | CopyArray | Assign | Require | Nested | Product | Heading | Call
+OfMatrices = Product | Triangle
+Statement = Operate | Copy | CopyArray | Assign | Require | Nested | OfMatrices | Heading | Call
 Body = tuple[Statement, ...]
 
 
@@ -411,6 +444,7 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+    fma: bool = False  # Whether it calls fma() of C
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -470,6 +504,11 @@ class CProgram:
         return _flops(self.update, self.predict)
 
     @property
+    def fused(self) -> int:
+        """How many of them are a product and a sum in one."""
+        return sum(n for operator, n in self.operations.items() if operator in FUSED)
+
+    @property
     def statements(self) -> int:
         """The same as they stand in the text, where loops repeat them."""
         nodes = (
@@ -510,6 +549,7 @@ _PARTS: dict[type, tuple[str, ...]] = {
     IfPositive: ("value", "body"),
     For: ("body",),
     Product: ("start", "left", "right", "target"),
+    Triangle: ("source", "target"),
     Call: ("arguments", "constants", "tables", "rows"),
     Heading: (),
 }
@@ -568,7 +608,7 @@ def _times(loops: tuple[For, ...], known: Mapping[str, int]) -> int:
 def inside(body: Body, loops: tuple[For, ...] = ()) -> Iterator[tuple[Statement, tuple[For, ...]]]:
     """Every statement, and the loops that it is in, the outermost first."""
     for node in body:
-        yield node, (*loops, *node.loops) if isinstance(node, Product) else loops
+        yield node, (*loops, *node.loops) if isinstance(node, OfMatrices) else loops
         if isinstance(node, Nested):
             around = (*loops, node) if isinstance(node, For) else loops
             yield from inside(node.body, around)

@@ -39,6 +39,7 @@ class StatementPrinter:
         #: The largest finite number, and the smallest normal one
         kind = "DBL" if scalar == "double" else "FLT"
         self.limit, self.tiny = f"{kind}_MAX", f"{kind}_MIN"
+        self.fma = "fma" if scalar == "double" else "fmaf"
         self.rows = rows
         self.words = -(-rows // _WORD_BITS)  # 32-bit words that one bit per row of y needs
 
@@ -145,6 +146,8 @@ class StatementPrinter:
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
             case ir.Product():
                 return self._product(node)
+            case ir.Triangle():
+                return self._triangle(node)
             case ir.Call():
                 return self._call(node)
         return f"\n/* {node.text} */"
@@ -170,12 +173,23 @@ class StatementPrinter:
                 isinstance(first, Expression) and first.operator is operator
             ):
                 text = f"{self._operation(first)} {_INFIX[operator]} {a[1]}"
+            case _ if operator in ir.FUSED:
+                text = self._fused(node)
             case _ if operator in _INFIX:
                 text = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case _:
                 inner = ", ".join(map(self._bare, node.arguments))
                 text = f"{self.elementary}_{operator.value}({inner})"
         return text
+
+    def _fused(self, node: Expression) -> str:
+        """A call of fma(): of a difference one argument has the other sign."""
+        arguments = [self._bare(argument) for argument in node.arguments]
+        turned = {Operator.FNMA: 0, Operator.FMS: 2}.get(node.operator)
+        if turned is not None:
+            text = self.operand(node.arguments[turned])
+            arguments[turned] = text[1:] if text.startswith("-") else f"-{text}"
+        return f"{self.fma}({', '.join(arguments)})"
 
     def _holds(self, condition: ir.Operand) -> str:
         """Test whether a condition, which is 0 or 1, holds."""
@@ -197,6 +211,16 @@ class StatementPrinter:
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
+
+    def _triangle(self, node: ir.Triangle) -> str:
+        """A call of one of the two functions between packed symmetric matrices and whole ones."""
+        whole = node.target if node.mirrored else node.source
+        first, second = (
+            self._address(replace(element, index=_first(element)))
+            for element in (node.source, node.target)
+        )
+        name = f"{self.name}_{'unpack' if node.mirrored else 'pack'}"
+        return f"{name}({first}, {second}, {_step(whole, 'i')}, {node.size});"
 
     def _product(self, node: ir.Product) -> str:
         """A call of the function for products; what is read element by element has two strides."""
@@ -245,7 +269,8 @@ class StatementPrinter:
                 return self.names.get(value) or self.literal(value)
             case Expression(operator):
                 text = self._operation(operand)
-                return text if operator.is_function else f"({text})"
+                called = operator.is_function or operator in ir.FUSED
+                return text if called else f"({text})"
             case Element(space, name, index):
                 place = "" if index is None else f"[{index}]"
                 own = self.members.get(name, name) if space in {Space.SELF, Space.NEXT} else name

@@ -22,6 +22,7 @@ from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
+from fkgen.symbolic.linalg import FOLDED
 
 #: Units of the entries of each matrix.
 _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
@@ -318,12 +319,18 @@ def _folded(spec: Spec, phases: Sequence[Phase]) -> tuple[tuple[float, str], ...
     known: dict[float, str] = {}
     for index, plant in enumerate(spec.plants):
         of = f" of mode {index}" if len(spec.plants) > 1 else ""
-        for letter in "ABC" if plant.equations is None else "":
+        folded = [x for x in "ABC" if plant.equations is None and _width(plant, x) <= FOLDED]
+        for letter in folded:
             for value, text in _coefficients(letter, getattr(plant, letter)):
                 known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
     used = {abs(value) for value in _read(phases)}
     stated = {0.0, 0.5, 1.0, 2.0} | {abs(value) for value in _numbers_in(spec.to_dict())}
     return tuple((value, known[value]) for value in sorted(used & known.keys() - stated))
+
+
+def _width(plant: Model | Mode, letter: str) -> int:
+    """Columns of a matrix."""
+    return max(map(len, getattr(plant, letter).rows), default=0)
 
 
 def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:

@@ -24,6 +24,8 @@ class Code:
     #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
     #: files beside it, the same for all filters of one program
     elementary: Copies = "static"
+    #: Whether products are rounded together with the sum they go into, by fma() of C
+    fma: bool = False
     #: Straight lines, loops over whole matrices, or "auto": whichever is better at each place
     form: CodeForm = "auto"
     #: The ports that C shows besides those that the recursion needs; all of them if None
@@ -33,6 +35,7 @@ class Code:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
         table |= {} if self.elementary == "static" else {"elementary": self.elementary}
+        table |= {"fma": True} if self.fma else {}
         table |= {} if self.form == "auto" else {"form": self.form}
         return table if self.ports is None else table | {"ports": list(self.ports)}
 
@@ -43,11 +46,13 @@ class Code:
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    section = Section(table, place, known=("scalar", "update", "elementary", "form", "ports"))
+    known = ("scalar", "update", "elementary", "form", "fma", "ports")
+    section = Section(table, place, known=known)
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
         update=section.choice("update", get_args(Update), "auto"),
         elementary=section.choice("elementary", get_args(Copies), "static"),
+        fma=section.flag("fma", default=False),
         form=section.choice("form", get_args(CodeForm), "auto"),
         ports=_read_ports(section) if "ports" in section else None,
     )

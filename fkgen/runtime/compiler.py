@@ -74,7 +74,7 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, statement
     """Compile one file into a shared library."""
     optimisation = "-O2" if statements <= LARGE else "-O1"
     flags = (*_FLAGS, optimisation, *compiler.flags)
-    command = [*compiler.command, *flags, str(source), "-o", str(library)]
+    command = [*compiler.command, *flags, str(source), "-lm", "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -13,7 +13,17 @@ from fkgen.errors import InternalError
 from fkgen.symbolic.index import At, Index, Target, Whole, name_of, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column
-from fkgen.symbolic.recursion import Block, Condition, Guard, Loop, Phase, Product, Variable
+from fkgen.symbolic.recursion import (
+    Block,
+    Condition,
+    Guard,
+    Loop,
+    OfMatrices,
+    Phase,
+    Product,
+    Triangle,
+    Variable,
+)
 
 
 class PhaseBuilder:
@@ -26,7 +36,7 @@ class PhaseBuilder:
             e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)
         }
         self._variables: list[Variable] = []
-        self._blocks: list[Block | Loop | Product] = []
+        self._blocks: list[Block | Loop | OfMatrices] = []
         self._condition: Condition | None = None
         self._titles: list[str] = []
 
@@ -79,11 +89,17 @@ class PhaseBuilder:
 
         Places are indices of the variables i, j and k, as in `Product`.
         """
-        *sections, title = self._titles or [""]
+        *above, title = self._titles or [""]
+        section = "; ".join(above)
         self._blocks.append(
-            Product(
-                title, target, *factors, start, *sizes, less, lower, section="; ".join(sections)
-            )
+            Product(title, target, *factors, start, *sizes, less, lower, section=section)
+        )
+
+    def triangle(self, target: At, source: At, size: int, *, mirrored: bool) -> None:
+        """Append a copy of the lower triangle of a symmetric matrix, or of all of it."""
+        *above, title = self._titles or [""]
+        self._blocks.append(
+            Triangle(title, target, source, size, mirrored, section="; ".join(above))
         )
 
     def at(self, name: str, index: Whole) -> ca.SX:
@@ -221,7 +237,7 @@ class PhaseBuilder:
         local = {variable.name for variable in self._variables}
         found: list[Any] = []
         for block in reversed(blocks):
-            if isinstance(block, Product):
+            if isinstance(block, OfMatrices):
                 if block.target.name in live or block.target.name not in local:
                     found.append(block)
                     live |= set(block.reads)

@@ -13,7 +13,7 @@ import casadi as ca
 
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import At, Whole, packed, variable
-from fkgen.symbolic.linalg import column
+from fkgen.symbolic.linalg import column, is_zero, total
 
 #: Numbers that a vector holds.
 LANES = 4
@@ -109,26 +109,15 @@ def unpacked(builder: PhaseBuilder, name: str, covariance: ca.SX, size: int) -> 
     """A packed symmetric matrix with all of its entries."""
     source = builder.array(f"{PREFIX}{name}_of_{size}", covariance)
     found = room(builder, name, size, size)
-    with builder.loop("i", 0, size) as i, builder.loop("j", 0, i + 1) as j:
-        builder.assign({found.at(i, j): builder.at(source, packed(i, j))})
-    mirror(builder, found)
+    builder.triangle(found.at(_I, _J), At(source, packed(_I, _J)), size, mirrored=True)
     return found
-
-
-def mirror(builder: PhaseBuilder, matrix: Dense) -> None:
-    """Write the entries above the diagonal from those below."""
-    with builder.loop("i", 1, matrix.rows) as i, builder.loop("j", 0, i) as j:
-        value = matrix.at(i, j)
-        builder.assign({matrix.at(j, i): builder.at(value.name, value.index)})
 
 
 def as_packed(builder: PhaseBuilder, name: str, matrix: Dense) -> ca.SX:
     """The lower triangle of a symmetric matrix, packed, in a variable of its own."""
     size = matrix.rows
     found = builder.local(name, size * (size + 1) // 2)
-    with builder.loop("i", 0, size) as i, builder.loop("j", 0, i + 1) as j:
-        value = matrix.at(i, j)
-        builder.assign({At(name, packed(i, j)): builder.at(value.name, value.index)})
+    builder.triangle(At(name, packed(_I, _J)), matrix.at(_I, _J), size, mirrored=False)
     return found
 
 
@@ -142,9 +131,46 @@ def multiply(
     less: bool = False,
     lower: bool = False,
 ) -> Dense:
-    """Append target := start + left right; ``less``: minus, ``lower``: on and below the diagonal."""
+    """Append target := start + left right; ``less``: minus, ``lower``: no entries above the diagonal.
+
+    The target may be the start.
+    """
     factors = left.at(_I, _K), right.at(_K, _J)
     sizes = left.rows, right.columns, left.columns
     begin = None if start is None else start.at(_I, _J)
     builder.product(target.at(_I, _J), factors, sizes, begin, less=less, lower=lower)
     return target
+
+
+def combine(
+    builder: PhaseBuilder,
+    target: Dense,
+    left: ca.SX,
+    right: Dense,
+    start: Dense | None = None,
+    *,
+    lower: bool = False,
+) -> Dense:
+    """The same for a left factor with many zeros: each row is a sum of a few rows of the other.
+
+    ``lower`` goes on to the end of a vector, in the room that rows have.
+    """
+    for i in range(left.shape[0]):
+        places = [k for k in range(left.shape[1]) if not is_zero(left[i, k])]
+        end = -(-(i + 1) // LANES) * LANES if lower else right.columns  # whole vectors
+        with builder.loop("j", 0, end) as j:
+            terms = [left[i, k] * _value(builder, right.at(k, j)) for k in places]
+            first = [] if start is None else [_value(builder, start.at(i, j))]
+            builder.assign({target.at(i, j): total([*first, *terms] or [ca.SX(0)])})
+    return target
+
+
+def transposed(builder: PhaseBuilder, target: Dense, matrix: Dense) -> Dense:
+    """The transpose in a place of its own."""
+    with builder.loop("i", 0, matrix.rows) as i, builder.loop("j", 0, matrix.columns) as j:
+        builder.assign({target.at(j, i): _value(builder, matrix.at(i, j))})
+    return target
+
+
+def _value(builder: PhaseBuilder, place: At) -> ca.SX:
+    return builder.at(place.name, place.index)

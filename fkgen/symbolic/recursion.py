@@ -105,7 +105,7 @@ class Loop:
     index: str
     begin: Whole
     end: Whole
-    body: tuple[Block | Loop, ...]
+    body: tuple[Any, ...]  # of blocks and loops
     when: Condition | None = None
     reads: tuple[Target, ...] = ()
     section: str = ""
@@ -165,13 +165,37 @@ class Product:
 
 
 @dataclass(frozen=True, slots=True)
+class Triangle:
+    """target[i, j] := source[i, j] for j <= i < size; ``mirrored``: target[j, i] as well.
+
+    Places are indices of ``i`` and ``j``. Source and target are different variables.
+    """
+
+    title: str
+    target: At
+    source: At
+    size: int
+    mirrored: bool
+    section: str = ""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The variable that it reads."""
+        return (self.source.name,)
+
+
+#: Statements about whole matrices, which stand in no loop and under no condition.
+OfMatrices = Product | Triangle
+
+
+@dataclass(frozen=True, slots=True)
 class Phase:
     """Blocks in order, and the locals that they use.
 
     With ``unless`` the phase is left out while the port of this name, a scalar, is positive.
     """
 
-    blocks: tuple[Block | Loop | Product, ...]
+    blocks: tuple[Block | Loop | OfMatrices, ...]
     variables: tuple[Variable, ...]
     symbols: Mapping[Target, ca.SX]
     unless: str | None = None
@@ -367,7 +391,7 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
 
     def guarded(block: Any, *, once: bool) -> Any:
         nonlocal sound
-        if isinstance(block, Product):
+        if isinstance(block, OfMatrices):
             sound -= {e.element_hash() for e in ca.symvar(phase.symbols[block.target.name])}
             return block
         if isinstance(block, Loop):

@@ -56,7 +56,11 @@ class _Pruning:
             case ir.For():
                 left = self.loop(node)
             case (
-                ir.Operate(target) | ir.Copy(target) | ir.Assign(target) | ir.Product(target)
+                ir.Operate(target)
+                | ir.Copy(target)
+                | ir.Assign(target)
+                | ir.Product(target)
+                | ir.Triangle(target)
             ):
                 left = node if self._is_needed(target) or self._is_result(target) else None
         if left is not None:

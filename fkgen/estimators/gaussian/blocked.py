@@ -19,35 +19,31 @@ from fkgen.symbolic.dense import (
     Dense,
     as_packed,
     as_row,
+    combine,
     filled,
     multiply,
     room,
+    transposed,
     unpacked,
 )
 from fkgen.symbolic.index import At, Whole
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import pack
+from fkgen.symbolic.plant import SPARSE
 
-#: States from which on products of whole matrices are faster than rows in straight lines.
-DENSE_STATES = 8
-#: Products know no zeros: they may have so many times the operations that straight lines have.
-DENSER = 2.5
 #: Rows of y whose elimination is written out.
 UNROLLED = 4
 
 
-def is_dense(matrix: ca.SX, form: str) -> bool:
-    """Whether products with a matrix of this structure are loops rather than straight lines."""
-    n, m = matrix.shape
-    if form != "auto":
-        return form == "loops"
-    return m >= DENSE_STATES and n * m <= DENSER * matrix.nnz()
+def is_sparse(matrix: ca.SX) -> bool:
+    """Whether a matrix is multiplied without its zeros."""
+    return bool(matrix.numel() > SPARSE * matrix.nnz())
 
 
 def is_blocked(measurement: Measurement) -> bool:
     """Whether conditioning on these rows is written in products of matrices."""
     apart = measurement.S is not None or measurement.rank_tolerance is not None
-    return not apart and measurement.C.nnz() > 0 and is_dense(measurement.C, measurement.code_form)
+    return not apart and measurement.C.nnz() > 0 and measurement.code_form == "loops"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -92,7 +88,10 @@ class BlockedUpdate:
         """S = C P C' + R of all rows, packed."""
         builder, measurement, (p, m) = self.builder, self.measurement, self.measurement.C.shape
         self.cross = room(builder, "cross_covariance", p, m)
-        multiply(builder, self.cross, self.sensed.T, self.covariance)
+        if is_sparse(measurement.C):
+            combine(builder, self.cross, measurement.C, self.covariance)
+        else:
+            multiply(builder, self.cross, self.sensed.T, self.covariance)
         noise = filled(builder, f"sensor_noise{self.tag}", measurement.R)
         S = room(builder, "innovation_matrix", p, p)
         multiply(builder, S, self.cross, self.sensed, noise, lower=True)
@@ -117,13 +116,13 @@ class BlockedUpdate:
             with builder.loop("r", 0, p) as row:
                 self._eliminate(S, pivots, row)
         self.pivots = [_value(builder, pivots.at(0, i)) for i in range(p)]
-        for i in range(1, p):
-            row, above = self.cross.row(i), self.cross.top(i)
-            multiply(builder, row, self.factor.row(i, i), above, row, less=True)
+        for below in range(1, p):
+            own, above = self.cross.row(below), self.cross.top(below)
+            multiply(builder, own, self.factor.row(below, below), above, own, less=True)
         self.weighted = room(builder, "weighted", p, m)
-        with builder.loop("i", 0, p) as i, builder.loop("j", 0, m) as j:
-            value = _value(builder, self.cross.at(i, j)) * _value(builder, self.inverse.at(0, i))
-            builder.assign({self.weighted.at(i, j): value})
+        with builder.loop("i", 0, p) as k, builder.loop("j", 0, m) as j:
+            value = _value(builder, self.cross.at(k, j)) * _value(builder, self.inverse.at(0, k))
+            builder.assign({self.weighted.at(k, j): value})
 
     def _eliminate(self, S: Dense, pivots: Dense, row: Whole) -> None:
         """Take row ``row`` in, and out of the rows below it."""
@@ -171,9 +170,7 @@ class BlockedUpdate:
         """P - W' G, packed."""
         builder, m = self.builder, self.prior[0].numel()
         left = room(builder, "corrected", m, m)
-        multiply(
-            builder, left, self.weighted.T, self.cross, self.covariance, less=True, lower=True
-        )
+        multiply(builder, left, self.weighted.T, self.cross, self.covariance, less=True, lower=True)
         return as_packed(builder, f"covariance{self.tag}", left)
 
     def gain(self) -> Dense:
@@ -218,14 +215,19 @@ def moved_densely(
 ) -> tuple[ca.SX, ca.SX]:
     """A x and the packed A P A' + Q."""
     n = A.shape[0]
-    transition = filled(builder, f"transition{tag}", A.T)
     noise = filled(builder, f"process_noise{tag}", Q)
     covariance = unpacked(builder, "estimated_covariance", prior[1], n)
-    state = room(builder, f"next_state{tag}", 1, n)
-    multiply(builder, state, as_row(builder, "estimated_state", prior[0]), transition)
-    half = room(builder, "half_moved", n, n)
-    multiply(builder, half, transition.T, covariance)
-    found = room(builder, "next_matrix", n, n)
-    multiply(builder, found, half, transition, noise, lower=True)
-    packed = as_packed(builder, f"next_covariance{tag}", found)
-    return builder.symbol(state.name)[:n], packed
+    half, found = room(builder, "half_moved", n, n), room(builder, "next_matrix", n, n)
+    if is_sparse(A):
+        turned = room(builder, "turned", n, n)
+        state = A @ prior[0]
+        transposed(builder, turned, combine(builder, half, A, covariance))
+        combine(builder, found, A, turned, noise, lower=True)
+    else:
+        transition = filled(builder, f"transition{tag}", A.T)
+        mean, moved = as_row(builder, "estimated_state", prior[0]), f"next_state{tag}"
+        row = multiply(builder, room(builder, moved, 1, n), mean, transition)
+        state = builder.symbol(row.name)[:n]
+        multiply(builder, half, transition.T, covariance)
+        multiply(builder, found, half, transition, noise, lower=True)
+    return state, as_packed(builder, f"next_covariance{tag}", found)

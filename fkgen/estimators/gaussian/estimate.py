@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
-from fkgen.estimators.gaussian.blocked import is_dense, moved_densely
+from fkgen.estimators.gaussian.blocked import moved_densely
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
 from fkgen.estimators.gaussian.rows import Form
@@ -211,7 +211,7 @@ def propagate(
         state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     spread = ca.SX.zeros(len(triangle(n))) if plant.spread is None else plant.spread
-    if posterior.deviation.numel() == 0 and is_dense(plant.A, plant.code_form):
+    if posterior.deviation.numel() == 0 and plant.code_form == "loops":
         noise = pack(plant.Q) + spread
         if actuation.size:
             noise += congruence(B, actuation.covariance)

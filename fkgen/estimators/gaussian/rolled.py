@@ -34,6 +34,8 @@ DENSER, SPARSE = 1.5, 6.0
 def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     """Whether conditioning on these rows is written in loops."""
     (p, m), at, R = measurement.C.shape, measurement.at, measurement.R
+    if measurement.code_form == "straight":
+        return False
     if p < 2 or len({b - a for a, b in pairwise(at)}) > 1:
         return False  # rows of y without a rule
     coupled = max(R.nnz() / p - 1.0, 0.0)

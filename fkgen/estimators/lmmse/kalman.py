@@ -35,8 +35,8 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import sparse
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion

@@ -35,8 +35,8 @@ from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,

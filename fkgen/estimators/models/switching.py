@@ -64,6 +64,7 @@ from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import (
     column,
     congruence,
@@ -73,7 +74,6 @@ from fkgen.symbolic.linalg import (
     unpack,
     weighted_sum,
 )
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,

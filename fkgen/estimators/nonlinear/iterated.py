@@ -28,8 +28,8 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, shifted, turned_by
+from fkgen.symbolic.lifting.linearise import evaluated, seen_from
 from fkgen.symbolic.linalg import column, congruence, is_zero, pack, reduced, sparse, total, unpack
-from fkgen.symbolic.linearise import evaluated, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
