@@ -72,6 +72,7 @@ def main() -> None:
     console = Console()
     clock.pin()
     with tempfile.TemporaryDirectory() as folder:
+        os.environ["FKGEN_CACHE"] = str(Path(folder) / "cache")  # builds are those of this run
         settings = Settings(Path(folder), options.rounds, options.seconds, options.callgrind)
         tables = []
         for name in options.only or PARTS:
