@@ -20,8 +20,11 @@ def renewed(page: str, head: str, measured: Sequence[tuple[str, str]]) -> str:
     there.pop(_LOST, None)
     new = {title: text for title, text in measured if title not in there}
     body = {**new, **there, **dict(measured)}
-    missed = [f"- {title}: {line}" for title, text in body.items() for line in _missed(text)]
-    lost = "\nEvery target that is missed in the tables below.\n\n" + "\n".join(missed) + "\n\n"
+    lines = ["", "Every target that is missed in the tables below.", ""]
+    for title, text in body.items():
+        missed = _missed(text)
+        lines += [f"- {title}", *[f"    - {line}" for line in missed]] if missed else []
+    lost = "\n".join([*lines, "", ""])
     every = {_LOST: lost, **body}
     text = "".join(f"## {title}\n{section}" for title, section in every.items())
     return f"{head}\n{text}".rstrip() + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import warnings
 from collections.abc import Callable
@@ -18,17 +19,24 @@ def available(spec: models.Spec) -> dict[str, Filter]:
     if importlib.util.find_spec("filterpy"):
         found["filterpy"] = lambda y: _filterpy(spec, y)
     if importlib.util.find_spec("numba"):
-        import numba  # noqa: PLC0415 - optional
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            compiled = numba.njit(textbook)
+        compiled = _numba()
         found["numba, njit"] = lambda y: compiled(*_matrices(spec), y)
     if importlib.util.find_spec("statsmodels"):
         found["statsmodels"] = lambda y: _statsmodels(spec, y)
     if importlib.util.find_spec("simdkalman"):
         found["simdkalman"] = lambda y: _simdkalman(spec, y)
     return found
+
+
+@functools.cache
+def _numba() -> Callable[..., models.Array]:
+    """The textbook, compiled once for all models."""
+    import numba  # noqa: PLC0415 - optional
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        compiled: Callable[..., models.Array] = numba.njit(textbook)
+    return compiled
 
 
 def whole_records() -> set[str]:

@@ -75,7 +75,7 @@ def hand(settings: Settings) -> Table:
         "One record: the best hand-written forms and Eigen",
         [
             "model",
-            "fma",
+            "sums",
             "fkgen, ns",
             "hand, ns",
             "form",
@@ -91,7 +91,7 @@ def hand(settings: Settings) -> Table:
         "with missing rows, infinite y, pivots, finite results, nis and status; Eigen: fixed "
         "sizes, textbook form, none of these. With fma: contraction on, `code.fma`, if fkgen "
         "has it. All found equal to NumPy first. Peak: independent multiply-adds of one core, "
-        "measured: {peak}. Share of it: flops of the cheapest dense step. Targets: {_HAND:g} of "
+        f"measured: {{peak}}. Share of it: flops of the cheapest dense step. Targets: {_HAND:g} of "
         f"the hand-written form; of Eigen {_EIGEN_ELSE}, {_EIGEN[4]} at n4 and n6, {_EIGEN[32]} "
         "at n32.",
     )
@@ -107,7 +107,7 @@ def hand(settings: Settings) -> Table:
             if found:
                 dense = title in {f"n{n} p{p}" for n, p in _DENSE}
                 peak = core.flops[fuse] if dense else None
-                table.add(title, "yes" if fuse else "no", *_cells(spec, found, peak))
+                table.add(title, "fma" if fuse else "no fma", *_cells(spec, found, peak))
     return table
 
 
