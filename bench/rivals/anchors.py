@@ -85,7 +85,7 @@ def compiled_forms(
     """Each form, compiled and found right."""
     calls = {}
     for name, text in forms_for(spec).items():
-        place = folder / f"{spec['name']}-{name}{'-fma' if fused else ''}.so"
+        place = folder / f"{_sized(spec)}-{name}{'-fma' if fused else ''}.so"
         source = place.with_suffix(".c")
         source.write_text(text)
         command = ["gcc", "-std=gnu99", *FLAGS, ROUNDING[fused], f"-I{HERE.parent / 'forms'}"]
@@ -99,7 +99,7 @@ def eigen(spec: models.Spec, y: models.Array, folder: Path) -> Call | None:
     if not EIGEN.is_dir():
         return None
     n, p, _ = models.width(spec)
-    place = folder / f"{spec['name']}-eigen.so"
+    place = folder / f"{_sized(spec)}-eigen.so"
     table = place.with_suffix(".inc")
     lines = []
     for name in ("A", "C", "Q", "R", "P0"):
@@ -111,6 +111,11 @@ def eigen(spec: models.Spec, y: models.Array, folder: Path) -> Call | None:
     source = HERE / "c" / "eigen_record.cpp"
     _make(["g++", *flags, *defines, str(source)], place)
     return record(place, spec, y, missing=False)
+
+
+def _sized(spec: models.Spec) -> str:
+    """A name that no other model has."""
+    return f"{spec['name']}_{models.width(spec)[1]}"
 
 
 def _make(command: list[str], place: Path) -> None:

@@ -75,7 +75,7 @@ def _measure(
     build = 0.0
     if patient:
         start = time.perf_counter()
-        own = anchors.of_fkgen({**spec, "name": f"growth{n}_{p}"}, y)
+        own = anchors.of_fkgen({**spec, "name": f"growth{n}"}, y)
         build = time.perf_counter() - start
         calls |= {"fkgen": own} if own else {}
     eigen = anchors.eigen(spec, y, settings.folder) if n <= _EIGEN_MOST else None
