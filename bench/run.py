@@ -100,6 +100,8 @@ Written by `python bench/run.py --write`; `make bench` measures without writing.
 All take turns on one core, {ROUNDS} rounds and {SECONDS:g} s or more where nothing else is said.
 Times depend on the machine, ratios much less.
 
+Sections are renewed one by one; machine and versions are those of the last to be renewed.
+
 Machine: {_processor()}, {os.cpu_count()} cores. Compilers: {versions}.
 Libraries: {", ".join(_libraries())}.
 Flags: `{" ".join(FLAGS)}`, no `-march`, where nothing else is said.

@@ -49,7 +49,8 @@ class Table:
         """Title and text in Markdown; ``effort`` says how it was measured, if in no usual way."""
         rule = ["---", *["---:"] * (len(self.columns) - 1)]
         lines = [f"| {' | '.join(row)} |" for row in ([*self.columns], rule, *self.rows)]
-        return self.title, "\n".join(["", f"{self.note}{effort}", "", *lines, "", ""])
+        figures = [f"![{unit}]({name})\n" for name, (_, unit) in self.curves.items()]
+        return self.title, "\n".join(["", f"{self.note}{effort}", "", *figures, *lines, "", ""])
 
 
 def ns(seconds: float) -> str:

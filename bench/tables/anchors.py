@@ -88,8 +88,10 @@ def hand(settings: Settings) -> Table:
         ],
         "A step of `run(..., keep=['filtered_state'])` beside records in C, all at -O3 "
         "-march=native, the fkgen library by its own flags. Hand: GCC vector types (bench/forms), "
-        "with missing rows, infinite y, pivots, finite results, nis and status; Eigen: fixed "
-        "sizes, textbook form, none of these. With fma: contraction on, `code.fma`, if fkgen "
+        "with missing rows, infinite y, pivots, finite results, nis and status, but unlike fkgen "
+        "without log-likelihood, packed ports, tests of predicted variances, and with an end of the "
+        "record where a pivot or result is refused; Eigen: fixed sizes, textbook form, none of "
+        "these. With fma: contraction on, `code.fma`, if fkgen "
         "has it. All found equal to NumPy first. Peak: independent multiply-adds of one core, "
         f"measured: {{peak}}. Share of it: flops of the cheapest dense step. Targets: {_HAND:g} of "
         f"the hand-written form; of Eigen {_EIGEN_ELSE}, {_EIGEN[4]} at n4 and n6, {_EIGEN[32]} "

@@ -25,8 +25,7 @@ def growth(settings: Settings) -> Table:
         "Dense models, ns a step, contraction off, least times. Build: fkgen from spec to loaded "
         f"library; beyond {_PATIENCE:g} s the larger ones are left out. Eigen to n = "
         f"{_EIGEN_MOST}. The peak takes the flops of the cheapest dense step with mul and add "
-        "apart.\n\n![ns a step over n](benchmarks-time.svg)\n\n"
-        "![GFLOP/s over n](benchmarks-rate.svg)",
+        "apart.",
     )
     found: dict[str, list[tuple[int, float]]] = {}
     rows = []
@@ -66,7 +65,7 @@ def _measure(
     spec: models.Spec, settings: Settings, *, patient: bool
 ) -> tuple[dict[str, float], float]:
     """Seconds of a step by name, and those of the build."""
-    n, p, _ = models.width(spec)
+    n, *_ = models.width(spec)
     y, _ = models.record(spec, max(60, samples(n)))
     calls = {
         f"form {k}": call for k, call in anchors.compiled_forms(spec, y, settings.folder).items()
