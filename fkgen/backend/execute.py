@@ -105,7 +105,10 @@ class Machine:
         return {Element(Space.PARAMETER, name, None): self.real(v) for name, v in values.items()}
 
     def step(
-        self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
+        self,
+        u: Sequence[float] | NDArray[np.floating],
+        y: Sequence[float] | NDArray[np.floating],
+        parameters: Mapping[str, float],
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
@@ -237,10 +240,8 @@ class _Code:
                 return self._condition(node)
             case ir.For():
                 return self._loop(node)
-            case ir.Product():
-                return self._product(node)
-            case ir.Triangle():
-                return self._triangle(node)
+            case ir.Product() | ir.Triangle():
+                return self._of_matrices(node)
         raise InternalError(f"no execution of {node}")
 
     def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
@@ -284,6 +285,9 @@ class _Code:
         """The cells of an element for many values of indices."""
         array = self._cell(replace(element, index=0 if element.moves else element.index))[0]
         return array + np.broadcast_to(value(element.index or 0, at), at["i"].shape)
+
+    def _of_matrices(self, node: ir.OfMatrices) -> _Statement:
+        return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
 
     def _triangle(self, node: ir.Triangle) -> _Statement:
         at = entries(node.size, node.size, lower=True)

@@ -400,6 +400,7 @@ class Stated:
     ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
     #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()
+    equations: str = ""  # The spec as JSON, where refusals are explained by its f and h
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

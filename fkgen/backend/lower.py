@@ -73,7 +73,10 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     form: tuple[str, ...] = (
         () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     )
-    if any(True for phase in phases for _ in ir.every(ir.For, phase.body)):
+    nodes = [node for phase in phases for node in ir.walk(phase.body)]
+    if any(isinstance(node, ir.OfMatrices) for node in nodes):
+        form += ("form of the code: loops over whole matrices",)
+    elif any(isinstance(node, ir.For) for node in nodes):
         form += ("form of the code: loops over rows of y, straight lines elsewhere",)
     return verify(
         ir.CProgram(

@@ -122,7 +122,7 @@ class StatementPrinter:
         """Statements, indented once."""
         return textwrap.indent("\n".join(map(self.statement, body)), "    ")
 
-    def statement(self, node: ir.Statement) -> str:  # noqa: PLR0911 - one per node
+    def statement(self, node: ir.Statement) -> str:  # noqa: C901, PLR0911 - one per node
         """One statement as C."""
         match node:
             case ir.Operate(target, operator, arguments):
@@ -144,10 +144,8 @@ class StatementPrinter:
                 return f"{head}\n{{\n{self.block(body)}\n}}"
             case ir.IfPositive(positive, body):
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
-            case ir.Product():
-                return self._product(node)
-            case ir.Triangle():
-                return self._triangle(node)
+            case ir.Product() | ir.Triangle():
+                return self._of_matrices(node)
             case ir.Call():
                 return self._call(node)
         return f"\n/* {node.text} */"
@@ -211,6 +209,10 @@ class StatementPrinter:
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
+
+    def _of_matrices(self, node: ir.OfMatrices) -> str:
+        """A call of a function about whole matrices."""
+        return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
 
     def _triangle(self, node: ir.Triangle) -> str:
         """A call of one of the two functions between packed symmetric matrices and whole ones."""

@@ -16,6 +16,7 @@ from fkgen.errors import OutputError
 
 LIBRARY = "filter.so"
 LAYOUT = "layout.json"
+EQUATIONS = "equations.json"  # of a plant that has some, to explain refusals by
 
 #: Age in seconds at which an unfinished build is nobody's any more.
 ABANDONED = 86400.0

@@ -91,6 +91,7 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     program = source.program
     layout = layout_of(program, source.claims)
     texts = {**source.files, f"{program.name}_record.c": source.record}
+    texts |= {cache.EQUATIONS: text} if (text := program.stated.equations) else {}
     return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
 
 

@@ -92,6 +92,8 @@ def fill(
     numbers = [float(v) if k else 0.0 for v, k in zip(values, known, strict=True)]
     if all(known) and not changes:
         return builder.table(name, numbers)
+    if builder.has(name):
+        return name
     builder.local(name, size)
     if any(known):
         table = builder.table(f"{name}_0", numbers)
@@ -131,9 +133,9 @@ def multiply(
     less: bool = False,
     lower: bool = False,
 ) -> Dense:
-    """Append target := start + left right; ``less``: minus, ``lower``: no entries above the diagonal.
+    """Append target := start + left right, or with ``less`` start - left right.
 
-    The target may be the start.
+    With ``lower`` entries above the diagonal are left alone. The target may be the start.
     """
     factors = left.at(_I, _K), right.at(_K, _J)
     sizes = left.rows, right.columns, left.columns

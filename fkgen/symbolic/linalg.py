@@ -82,8 +82,9 @@ def outer_lower(a: ca.SX, b: ca.SX) -> ca.SX:
 def congruence(M: ca.SX, P: ca.SX) -> ca.SX:
     """Packed ``M P M'`` for symmetric P; only the lower triangle is computed.
 
-    Up to `FOLDED` states there is a second way, the sum over the distinct entries of P with products
-    of M as coefficients, which wins when M is constant. The one with fewer operations is returned.
+    Up to `FOLDED` states there is a second way, the sum over the distinct entries of P with
+    products of M as coefficients, which wins when M is constant. The one with fewer operations is
+    returned.
     """
     T = M @ P
     rows = M.shape[0]

@@ -121,11 +121,12 @@ def _code_form(spec: Spec, A: ca.SX) -> CodeForm:
     """Straight lines or loops: what the spec asks for, or what suits the size of the plant."""
     n, p, entries = A.shape[0], spec.model.ny, A.nnz()
     form = spec.code.form
+    rows = p * (4 * n + n * (n + 1))
+    operations = (2 * entries * n + entries * (n + 1) + rows) * len(spec.plants)
     if form == "auto":
         dense = n * n <= SPARSE * entries
-        return "loops" if n >= (DENSE_STATES if dense else SPARSE_STATES) else "auto"
-    rows = p * (4 * n + n * (n + 1))
-    operations = 2 * entries * n + entries * (n + 1) + rows
+        many = n >= (DENSE_STATES if dense else SPARSE_STATES)
+        return "loops" if many or operations > STRAIGHT_OPERATIONS else "auto"
     if form == "straight" and operations > STRAIGHT_OPERATIONS:
         seconds = max(2, round(operations / COMPILED_PER_SECOND))
         raise SpecError(

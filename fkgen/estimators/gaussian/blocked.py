@@ -210,24 +210,31 @@ def _value(builder: PhaseBuilder, place: At) -> ca.SX:
     return builder.at(place.name, place.index)
 
 
-def moved_densely(
-    builder: PhaseBuilder, A: ca.SX, Q: ca.SX, prior: tuple[ca.SX, ca.SX], tag: str
-) -> tuple[ca.SX, ca.SX]:
-    """A x and the packed A P A' + Q."""
+def moved_mean(builder: PhaseBuilder, A: ca.SX, mean: ca.SX, tag: str) -> ca.SX:
+    """A x."""
+    if is_sparse(A):
+        return A @ mean
+    row, transition = as_row(builder, "estimated_state", mean), _transition(builder, A, tag)
+    found = multiply(builder, room(builder, f"next_state{tag}", 1, A.shape[0]), row, transition)
+    return builder.symbol(found.name)[: A.shape[0]]
+
+
+def moved_covariance(builder: PhaseBuilder, A: ca.SX, Q: ca.SX, P: ca.SX, tag: str) -> ca.SX:
+    """A P A' + Q, packed, of a packed P."""
     n = A.shape[0]
     noise = filled(builder, f"process_noise{tag}", Q)
-    covariance = unpacked(builder, "estimated_covariance", prior[1], n)
+    covariance = unpacked(builder, "estimated_covariance", P, n)
     half, found = room(builder, "half_moved", n, n), room(builder, "next_matrix", n, n)
     if is_sparse(A):
         turned = room(builder, "turned", n, n)
-        state = A @ prior[0]
         transposed(builder, turned, combine(builder, half, A, covariance))
         combine(builder, found, A, turned, noise, lower=True)
     else:
-        transition = filled(builder, f"transition{tag}", A.T)
-        mean, moved = as_row(builder, "estimated_state", prior[0]), f"next_state{tag}"
-        row = multiply(builder, room(builder, moved, 1, n), mean, transition)
-        state = builder.symbol(row.name)[:n]
+        transition = _transition(builder, A, tag)
         multiply(builder, half, transition.T, covariance)
         multiply(builder, found, half, transition, noise, lower=True)
-    return state, as_packed(builder, f"next_covariance{tag}", found)
+    return as_packed(builder, f"next_covariance{tag}", found)
+
+
+def _transition(builder: PhaseBuilder, A: ca.SX, tag: str) -> Dense:
+    return filled(builder, f"transition{tag}", A.T)

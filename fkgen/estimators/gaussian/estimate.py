@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
-from fkgen.estimators.gaussian.blocked import moved_densely
+from fkgen.estimators.gaussian.blocked import moved_covariance, moved_mean
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
 from fkgen.estimators.gaussian.rows import Form
@@ -215,11 +215,12 @@ def propagate(
         noise = pack(plant.Q) + spread
         if actuation.size:
             noise += congruence(B, actuation.covariance)
-        prior = posterior.state, posterior.covariance
         with builder.titled("products with A"):
-            moved_state, covariance = moved_densely(builder, plant.A, unpack(noise, n), prior, tag)
-        if plant.moved is None:
-            state = moved_state + plant.B @ actuation.mean + plant.c
+            if plant.moved is None:
+                state = moved_mean(builder, plant.A, posterior.state, tag)
+                state += plant.B @ actuation.mean + plant.c
+            Q = unpack(noise, n)
+            covariance = moved_covariance(builder, plant.A, Q, posterior.covariance, tag)
         return state, covariance, plant.A
     if posterior.deviation.numel() == 0:
         carried = congruence if plant.moved is None else least_congruence

@@ -61,8 +61,9 @@ def condition(
         blocked = BlockedUpdate(
             builder=builder, measurement=measurement, prior=prior, tag=tag, gate=by_row
         )
-        stated = replace(measurement, predicted=blocked.expected())
-        innovation = innovation or innovations(builder, prior[0], stated, tag)
+        if innovation is None and measurement.predicted is None:
+            measurement = replace(measurement, predicted=blocked.expected())
+        innovation = innovation or innovations(builder, prior[0], measurement, tag)
         found = _together(blocked, innovation, form, with_gain=with_gain)
         return found if gate is None or by_row else _gated(builder, gate, found, prior)
     innovation = innovation or innovations(builder, prior[0], measurement, tag)
