@@ -89,7 +89,7 @@ def hand(settings: Settings) -> Table:
         "A step of `run(..., keep=['filtered_state'])` beside records in C, all at -O3 "
         "-march=native, the fkgen library by its own flags. Hand: GCC vector types (bench/forms), "
         "with missing rows, infinite y, pivots, finite results, nis and status, but unlike fkgen "
-        "without log-likelihood, packed ports, tests of predicted variances, and with an end of the "
+        "without log-likelihood, packed ports, tests of predicted variances, and ending the "
         "record where a pivot or result is refused; Eigen: fixed sizes, textbook form, none of "
         "these. With fma: contraction on, `code.fma`, if fkgen "
         "has it. All found equal to NumPy first. Peak: independent multiply-adds of one core, "
