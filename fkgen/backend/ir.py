@@ -642,6 +642,11 @@ def every(kind: type[T], body: Body) -> Iterator[T]:
     return (node for node in walk(body) if isinstance(node, kind))
 
 
+def stores(body: Body) -> Iterator[Assign | OfMatrices]:
+    """Every statement that writes elements, those under conditions too, in order."""
+    return (node for node in walk(body) if isinstance(node, Assign | OfMatrices))
+
+
 def read(kind: type[T], body: Body) -> Iterator[T]:
     """Every operand of a kind that statements read, those under conditions too."""
     return (each for node in walk(body) for each in operands(node) if isinstance(each, kind))
