@@ -57,9 +57,10 @@ def bayes(plant, y, points):
     rows = []
     for now in y:
         seen = np.isfinite(now)
-        for mass, mode in zip(held, plant.modes, strict=True):
-            if seen.any():
-                mass *= density((now - mode.h(x))[:, seen], mode.R[np.ix_(seen, seen)])
+        if seen.any():
+            R = [mode.R[np.ix_(seen, seen)] for mode in plant.modes]
+            apart = [(now - mode.h(x))[:, seen] for mode in plant.modes]
+            held = held * np.array(list(map(density, apart, R)))
         evidence = held.sum()
         held /= evidence
         row = {"log_likelihood": np.log(evidence), "mode_probability": held.sum(axis=1)}
