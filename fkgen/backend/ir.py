@@ -446,6 +446,7 @@ class CProgram:
     stated: Stated = Stated()
     shares_functions: bool = False
     fma: bool = False  # Whether it calls fma() of C
+    optimise: Either["speed", "size"] = "speed"
 
     @property
     def errors(self) -> tuple[Signal, ...]:
