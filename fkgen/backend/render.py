@@ -21,6 +21,7 @@ from fkgen.backend.ir import (
     every,
     read,
 )
+from fkgen.backend.lanes.text import lanes_text
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
@@ -57,7 +58,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     files = complete(files, _facts(program, claims) | {"bytes": context["bytes"]})
     record = filled("record.c.j2", context)
-    return Source(program=program, files=files, record=record, claims=claims)
+    lanes = lanes_text(program, context)
+    return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 
 def _context(program: CProgram) -> dict[str, object]:

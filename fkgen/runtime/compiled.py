@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused, of_type
 from fkgen.runtime import cache, record
+from fkgen.runtime.batch import Batch, Records, of_records, work_in_lanes
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
@@ -25,6 +26,9 @@ _NUMBERS = frozenset((float, int))
 
 #: Samples that one thread filters at a stretch.
 BLOCK = 50_000
+
+#: Operations of a batch from which on it is worth to compile the filter over lanes, once and for all.
+WORTH = 20_000_000
 
 
 class CompiledFilter:
@@ -49,14 +53,14 @@ class CompiledFilter:
         self.claims = layout.claims
         path, pointer = str(entry / cache.LIBRARY), ctypes.c_void_p
         whole, short = ctypes.CDLL(path), ctypes.PyDLL(path)  # a short call keeps Python's lock
-        self._record = whole[f"{layout.name}_record"]
-        self._record.argtypes = (pointer, ctypes.c_int64, *[pointer] * 7)
-        self._record.restype = None
+        self._records = of_records(whole[f"{layout.name}_records"])
+        self._alone = ctypes.cast(whole[f"{layout.name}_alone"], pointer)
         calls = ("init", "start", "step", "update", "predict")
         found = [short[f"{layout.name}_call_{name}"] for name in calls]
         self._init, self._start, self._step, self._update, self._predict = found
         if layout.own_prior:
             self._prior = short[f"{layout.name}_call_prior"]
+        self._lanes: list[Records | None] = []  # empty until it is worth to look for them
         self._type = layout.structure()
         if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
@@ -178,19 +182,18 @@ class CompiledFilter:
             self.layout.parameters, params, shape[1], self._dtype, records=shape[0]
         )
         found = self._room(shape, keep)
-        instances = self._starts(start, given, shape[0])
-
-        def work(start: int, stop: int) -> None:
-            for m in range(start, stop):
-                each = driven[m] if driven is not None and driven.ndim == 3 else driven
-                ready = record.inputs(self.layout, each, shape[1])
-                told = [p[m] if p.ndim == 2 else p for p in given]
-                ports = {name: found[name][m] for name in found}
-                part = Run(ports, found.status[m], found.held[m])
-                self._filter(instances[m % len(instances)], (records[m], ready), told, part)
-
-        in_blocks(work, shape[0], max(1, BLOCK // max(1, shape[1])), advance)
+        starts = self._starts(start, given, shape[0])
+        batch = self._batch(starts, (records, driven), given, found)
+        in_blocks(self._work(shape, batch), shape[0], max(1, BLOCK // max(1, shape[1])), advance)
         return found
+
+    def _work(self, shape: tuple[int, ...], batch: Batch) -> Callable[[int, int], None]:
+        """What filters records from one to another: in lanes, where that is worth a compilation."""
+        if shape[0] > 1 and shape[0] * shape[1] * self.layout.flops >= WORTH and not self._lanes:
+            self._lanes.append(work_in_lanes(self.folder, self.name, self._alone))
+        several = self._lanes[0] if self._lanes and shape[0] > 1 else None
+        records = self._records if several is None else several
+        return lambda first, stop: records(batch, first, stop)
 
     def step(
         self,
@@ -371,21 +374,17 @@ class CompiledFilter:
         self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
     ) -> bytes:
         """Filter y and u; return the instance as it is afterwards."""
-        instance = self._type.from_buffer_copy(start)
-        count = max(1, len(parameters))
-        out = [found[p.name].ctypes.data if p.name in found else None for p in self.layout.ports]
-        self._record(
-            ctypes.addressof(instance),
-            len(data[0]),
-            (ctypes.c_void_p * count)(*[values.ctypes.data for values in parameters]),
-            (ctypes.c_int64 * count)(*[values.size > 1 for values in parameters]),
-            data[1].ctypes.data,
-            data[0].ctypes.data,
-            (ctypes.c_void_p * len(out))(*out),
-            found.status.ctypes.data,
-            found.held.ctypes.data,
-        )
-        return bytes(instance)
+        batch = self._batch([start], (data[0][np.newaxis], data[1]), parameters, found)
+        self._records(batch, 0, 1)
+        return batch.instance
+
+    def _batch(
+        self, starts: list[bytes], data: tuple[Array, Array], parameters: list[Array], found: Run
+    ) -> Batch:
+        """What C is given of records and of the places of results."""
+        out = [found[p.name] if p.name in found else None for p in self.layout.ports]
+        instances = np.frombuffer(bytearray().join(starts), np.uint8).reshape(len(starts), -1)
+        return Batch.of(instances, data, parameters, (out, found.status, found.held))
 
     def _refuse(self, status: int) -> NoReturn:
         found = Status(status)

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.layout import Layout, layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 LARGE = 8000
 
 _FLAGS = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
+#: What makes the most of the processor.
+LANES = ("-O3", "-march=native")
 _WAIT = 600
 
 
@@ -70,10 +73,12 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
     return Compiler(command, identity, tuple(flags))
 
 
-def compile_shared(compiler: Compiler, source: Path, library: Path, *, statements: int) -> None:
-    """Compile one file into a shared library."""
+def compile_shared(
+    compiler: Compiler, source: Path, library: Path, *, statements: int, flags: Sequence[str] = ()
+) -> None:
+    """Compile one file into a shared library; ``flags`` come after fkgen's own."""
     optimisation = "-O2" if statements <= LARGE else "-O1"
-    flags = (*_FLAGS, optimisation, *compiler.flags)
+    flags = (*_FLAGS, optimisation, *flags, *compiler.flags)
     command = [*compiler.command, *flags, str(source), "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
@@ -91,6 +96,7 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     program = source.program
     layout = layout_of(program, source.claims)
     texts = {**source.files, f"{program.name}_record.c": source.record}
+    texts |= {f"{program.name}_lanes.c": source.lanes} if source.lanes else {}
     return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
 
 
@@ -102,6 +108,24 @@ def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler
         compile_shared(compiler, record, folder / cache.LIBRARY, statements=layout.statements)
 
     return cache.store(key, fill)
+
+
+def lanes_library(source: Path) -> Path | None:
+    """The library over lanes of an entry, compiled if it is not there yet; None if there is none.
+
+    Its name holds the compiler and the processor, for which it is made.
+    """
+    try:
+        compiler = find_compiler()
+        library = source.with_name(f"lanes-{cache.key_of(compiler.identity)[:12]}.so")
+        if source.exists() and not library.exists():
+            with tempfile.TemporaryDirectory(prefix=".building-", dir=source.parent) as folder:
+                made = Path(folder) / library.name
+                compile_shared(compiler, source, made, statements=0, flags=LANES)
+                made.replace(library)
+    except (CompilerError, OSError):  # a batch does without
+        return None
+    return library if library.exists() else None
 
 
 def revived(key: str, texts: Mapping[str, str], snapshot: Snapshot) -> CompiledFilter:

@@ -87,19 +87,23 @@ def inputs(layout: Layout, u: Any, samples: int) -> Array:
     return array
 
 
-def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array | None]:
-    """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
+def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array]:
+    """Measurements (M, T, p), and inputs (M, T, q) or, for all records, (T, q)."""
     dtype, p = layout.dtype, len(layout.outputs)
     records = numbers("y", _each("y", y, layout.outputs), dtype, layout.outputs)
     if records.ndim != 3 or records.shape[2] != p:
         expected = f"shape (M, T, {p}){_listed(layout.outputs)}"
         raise DataError("y", given=f"shape {records.shape}", expected=expected)
-    driven = None
-    if u is not None and (layout.inputs or _size(u)):
-        driven = numbers("u", _each("u", u, layout.inputs), dtype, layout.inputs, role=_INPUT)
-    if driven is not None and driven.ndim == 3 and len(driven) != len(records):
-        given, expected = f"{len(driven)} records", f"{len(records)}, as y has"
-        raise DataError("u", given=given, expected=expected)
+    M, T = records.shape[:2]
+    if u is None or not (layout.inputs or _size(u)):
+        return records, inputs(layout, u, T)
+    driven = numbers("u", _each("u", u, layout.inputs), dtype, layout.inputs, role=_INPUT)
+    if driven.ndim != 3:
+        return records, inputs(layout, driven, T)
+    if len(driven) != M:
+        raise DataError("u", given=f"{len(driven)} records", expected=f"{M}, as y has")
+    for first in driven[:1]:
+        inputs(layout, first, T)
     return records, driven
 
 

@@ -1,0 +1,64 @@
+"""The text over lanes, from the program and what the other templates read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fkgen.backend import ir
+from fkgen.backend.lanes.printer import LanesPrinter
+from fkgen.backend.lines import filled
+from fkgen.backend.size.stack import BYTES
+from fkgen.symbolic.interface import Port, Status
+
+#: Statements of a step beyond which a compiler would work on the lanes for too long.
+LARGEST = 8000
+#: States up to which two groups of records take turns, so that one fills the divisions of the other.
+PAIRED = 6
+
+_TWO = frozenset(("atan2", "hypot"))
+
+
+def lanes_text(program: ir.CProgram, context: dict[str, Any]) -> str:
+    """C over lanes; empty where the program is too large for it."""
+    if program.statements > LARGEST:
+        return ""
+    c = LanesPrinter(program)
+    verbs = {verb: phase for verb, phase in program.verbs.items() if phase in program.phases}
+    own = {
+        "c": c,
+        "width": BYTES[program.scalar],
+        "groups": 2 if len(program.states) <= PAIRED else 1,
+        "functions": sorted(program.functions, key=lambda each: each.value),
+        "two": _TWO,
+        "phases": list(verbs.items()),
+        "printed": c.phase,
+        "place_of": _place_of,
+        "full_places": {_place_of(port): places(port) for port in program.ports if port.symmetric},
+        "outcomes": [
+            (outcome.status.value, _above(c, program, outcome))
+            for outcome in reversed(program.outcomes)
+        ],
+        "skipped": Status.SKIPPED.value,
+    }
+    return filled("lanes.c.j2", {**context, **own})
+
+
+def _above(c: LanesPrinter, program: ir.CProgram, outcome: ir.Outcome) -> str:
+    """Mask of the lanes in which an outcome applies."""
+    port = next(port for port in program.ports if port.name == outcome.port)
+    places = [f"[{i}]" for i in range(port.size)] if port.shape else [""]
+    level = c.literal(outcome.level)
+    return " | ".join(f"({c.mask_type})(now->{port.member}{at} > {level})" for at in places)
+
+
+def _place_of(port: Port) -> str:
+    """Ports of one shape share a table."""
+    return "x".join(map(str, port.shape))
+
+
+def places(port: Port) -> list[int]:
+    """Where each entry of full symmetric matrices is in what is stored."""
+    found = port.unpacked(np.arange(port.size)).ravel()
+    return [int(each) for each in found]
