@@ -328,7 +328,7 @@ class CompiledFilter:
         values = {
             port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
         }
-        return Run(values, np.empty(shape, np.int32), np.empty(shape, np.bool_))
+        return Run(values, np.zeros(shape, np.int32), np.zeros(shape, np.bool_))
 
     def _starts(
         self,

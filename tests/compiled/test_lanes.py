@@ -1,0 +1,121 @@
+"""Records side by side in the lanes of vectors: the bits of one record after the other."""
+
+from __future__ import annotations
+
+import jump_plants
+import nonlinear_specs
+import numpy as np
+import pytest
+import sensor_specs
+import spread
+from toolchain import C_COMPILERS, needs_compiler, thorough
+
+import fkgen
+from fkgen.runtime import compiled
+
+pytestmark = needs_compiler()
+
+M, T = 11, 24
+
+JUMPING = {
+    "jump_plain": {},
+    "jump_chain": {"arrival_chain": jump_plants.GILBERT},
+    "jump_nis": {"arrival_rate": 0.6, "detector": "nis", "alpha": 0.4, "lock_out": 2},
+    "jump_energy": {"arrival_rate": 0.6, "detector": "energy", "window": 3},
+}
+
+
+def specs(scalar):
+    """One spec for each way of each family."""
+    code = {"scalar": scalar}
+    table = jump_plants.random_table(71, 2, 2, 2, q=1, offsets=True, correlated=True)
+    found = dict(spread.specs(scalar)) | dict(sensor_specs.every(scalar))
+    for case in nonlinear_specs.CASES:
+        for family in ("ekf", "ukf", "iekf"):
+            found[f"{case}_{family}"] = nonlinear_specs.spec_of(case, family, code=code)
+    for name, options in JUMPING.items():
+        changed = jump_plants.changed(table, **options)
+        found[name] = fkgen.Spec.from_dict(changed | {"code": code})
+    return found
+
+
+NAMES = tuple(specs("double"))
+FEW = ["kf", "kf_correlated", "dfcf_groups", "mme", "imm_product", "attitude_ekf", "jump_nis"]
+
+
+def batch(plant, seed=8):
+    """Records with rows that are missing, infinite or absurd, and parameters of their own."""
+    rng = np.random.default_rng(seed)
+    y = rng.standard_normal((M, T, plant.model.ny))
+    y[rng.uniform(size=y.shape) < 0.2] = np.nan
+    y[rng.uniform(size=y.shape) < 0.05] = np.inf
+    y[rng.uniform(size=y.shape) < 0.02] = 1e30
+    y[rng.uniform(size=(M, T)) < 0.1] = np.nan
+    y[0] = np.where(np.isfinite(y[0]), y[0], 0.5)  # a record with all its rows
+    y[:, 3] = 0.25
+    u = rng.standard_normal((M, T, plant.model.nu))
+    u[rng.uniform(size=u.shape) < 0.02] = np.inf
+    params = {
+        name: value * rng.uniform(0.8, 1.2, (M, T)) for name, value in plant.defaults.items()
+    }
+    for values in params.values():
+        values[2, 5], values[4, 7] = np.nan, -1e3
+    return y, u if plant.model.nu else None, params
+
+
+def starts(plant, layout):
+    """A prior for each record."""
+    rng = np.random.default_rng(3)
+    n = len(layout.errors)
+    F = rng.standard_normal((M, n, n))
+    P0 = F @ F.swapaxes(1, 2)
+    start = {"P0": 0.5 * (P0 + P0.swapaxes(1, 2))}
+    if not layout.attitudes:
+        start["x0"] = rng.standard_normal((M, n))
+    return start
+
+
+def bits(values):
+    """Bytes of the same bits: -0.0 is not 0.0, and each NaN is itself."""
+    return np.ascontiguousarray(values).view(np.uint8)
+
+
+def check(plant, monkeypatch):
+    """A batch, and the same records one by one."""
+    monkeypatch.setattr(compiled, "WORTH", 0)
+    found = fkgen.build(plant)
+    y, u, params = batch(plant)
+    told = {name: values[1] for name, values in params.items()}
+    own = starts(plant, found.layout)
+    for given, start in ((params, None), (told, own)):
+        several = found.run_batch(y, u, given, start=start)
+        assert found._lanes[0] is not None
+        for m in range(M):
+            mine = {name: v[m] if v.ndim == 2 else v for name, v in given.items()}
+            begun = None if start is None else {name: value[m] for name, value in start.items()}
+            one = found.run(y[m], None if u is None else u[m], mine, start=begun)
+            for name in (*one.ports, "status", "held"):
+                np.testing.assert_array_equal(
+                    bits(several[name][m]), bits(one[name]), err_msg=f"{name} of {m}"
+                )
+    return several
+
+
+@pytest.mark.parametrize(
+    ("name", "scalar"),
+    thorough(
+        [(name, scalar) for name in NAMES for scalar in ("double", "float")],
+        [(name, "float" if i % 3 == 2 else "double") for i, name in enumerate(FEW)],
+    ),
+)
+def test_a_batch_has_the_bits_of_its_records(name, scalar, monkeypatch):
+    check(specs(scalar)[name], monkeypatch)
+
+
+@pytest.mark.parametrize("compiler", C_COMPILERS)
+@pytest.mark.parametrize("lanes", [2, 4, 8])
+def test_so_it_has_with_any_number_of_lanes(compiler, lanes, monkeypatch):
+    plant = specs("double")["imm_product"]
+    monkeypatch.setenv("FKGEN_CC", C_COMPILERS[compiler][0])
+    monkeypatch.setenv("FKGEN_CFLAGS", f"-O1 -D{plant.name.upper()}_LANES={lanes}")
+    check(plant, monkeypatch)
