@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Operator, Space
+from fkgen.backend.lanes.wanted import needless_logarithms
 from fkgen.backend.printer import StatementPrinter
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind
@@ -34,11 +35,14 @@ class LanesPrinter(StatementPrinter):
     def __init__(self, program: ir.CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.members = {port.name: port.member for port in program.ports if port.flags}
+        self.program = program
         self.tables: frozenset[str] = frozenset()  # Locals that are the same in all lanes
+        self.needless: dict[ir.Temp, frozenset[str]] = {}
 
     def phase(self, phase: ir.Phase) -> str:
         """The statements of a phase, indented once."""
         self.tables = frozenset(local.name for local in phase.locals if local.values)
+        self.needless = needless_logarithms(self.program, phase)
         return self.body(phase.body, Branch())
 
     def body(self, body: ir.Body, branch: Branch) -> str:
@@ -59,6 +63,10 @@ class LanesPrinter(StatementPrinter):
 
     def _operate(self, node: ir.Operate, _: Branch) -> str:
         value = self.computed(node.operator, node.arguments)
+        if ports := self.needless.get(node.target):
+            places = [i for i, port in enumerate(self.program.ports) if port.name in ports]
+            asked = " || ".join(f"(out[{i}] != NULL)" for i in places)
+            value = f"({asked}) ? {value} : {self.name}_positive({self.vector(node.arguments[0])})"
         return f"const {self.lane_type} {self.operand(node.target)} = {value};"
 
     def _copy(self, node: ir.Copy, _: Branch) -> str:

@@ -29,6 +29,7 @@ def lanes_text(program: ir.CProgram, context: dict[str, Any]) -> str:
     own = {
         "c": c,
         "width": BYTES[program.scalar],
+        "letter": "d" if program.scalar == "double" else "s",
         "groups": 2 if len(program.states) <= PAIRED else 1,
         "functions": sorted(program.functions, key=lambda each: each.value),
         "two": _TWO,
