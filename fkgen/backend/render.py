@@ -274,7 +274,6 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
     needs = {op.value: op in functions for op in Operator if op.is_function}
     needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
     needs["exp"] = needs["exp"] or needs["sinh"] or needs["cosh"] or needs["tanh"]
-    needs["scale"] = needs["exp"]
     needs["atan2"] = needs["atan2"] or needs["asin"] or needs["acos"]
     needs["sqrt"] = needs["sqrt"] or needs["atan2"] or needs["hypot"]
     return {
@@ -289,7 +288,6 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "needs": needs,
         "needs_elementary": bool(functions),
         "shared": f"{SHARED}{c.real}" if functions and c.elementary != c.name else "",
-        "root2": math.sqrt(2.0),
         "ln2": math.log(2.0),
         "pi": math.pi,
         "half_e": 0.5 * math.e,

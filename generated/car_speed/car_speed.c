@@ -33,57 +33,52 @@ typedef union
     uint64_t bits;
 } car_speed_bits_t;
 
-/* natural logarithm: x = m 2^e, then a polynomial in ((m - 1)/(m + 1))^2 */
+/* natural logarithm: x = m 2^k, f = m - 1, then a polynomial in (f/(2 + f))^2 */
 static double car_speed_log(double x)
 {
     const double zero = 0.0;
+    const double lift = (x < DBL_MIN) ? 1.8014398509481984e+16 : 1.0;
+    const double offset = (x < DBL_MIN) ? 4503599627371573.0 : 4503599627371519.0;
     car_speed_bits_t u;
-    double s, z, w, even, odd, k, low;
-    int32_t e = 0;
-    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
-    if (x > DBL_MAX) { return x; }
-    if (x < DBL_MIN)
-    {
-        x = x * 1.8014398509481984e+16;
-        e = -54;
-    }
-    u.value = x;
-    e += (int32_t)(u.bits >> 52) - 1023;
-    u.bits = (u.bits & UINT64_C(0xfffffffffffff)) | UINT64_C(0x3ff0000000000000);
-    if (u.value > 1.4142135623730951)
-    {
-        u.value = u.value * 0.5;
-        e += 1;
-    }
-    k = (double)e;
-    s = u.value - 1.0;
-    w = s + 2.0;
-    s = s / w;
+    double k, m, s, z, w, even, odd, half;
+    uint64_t e;
+    u.value = x * lift;
+    e = (u.bits + UINT64_C(0x95f619980c433)) >> 52;
+    u.bits = u.bits - (e << 52) + UINT64_C(0x3ff0000000000000);
+    m = u.value - 1.0;
+    u.bits = e | UINT64_C(0x4330000000000000);
+    k = u.value - offset;
+    w = m + 2.0;
+    s = m / w;
     z = s * s;
     w = z * z;
-    even = 0.14616449685043406;
+    even = 0.14797088738106787;
     even = even * w;
-    even = even + 0.18182889125261723;
+    even = even + 0.18183565069341553;
     even = even * w;
-    even = even + 0.28571428625975487;
+    even = even + 0.2857142874212811;
     even = even * w;
-    even = even + 0.666666666666667;
-    odd = 0.15331721600556042;
+    even = even + 0.6666666666666734;
+    odd = 0.15313988675044787;
     odd = odd * w;
-    odd = odd + 0.2222221113479508;
+    odd = odd + 0.22222198582835967;
     odd = odd * w;
-    odd = odd + 0.39999999999899505;
-
+    odd = odd + 0.39999999999416647;
     odd = z * odd;
     even = even + odd;
-    w = s * z;
-    w = w * even;
-    low = k * 7.440617110012397e-11;
-    w = w + low;
-    s = s + s;
-    w = w + s;
+    z = z * even;
+    half = 0.5 * m;
+    half = half * m;
+    z = half + z;
+    s = s * z;
+    w = k * 7.440617110012397e-11;
+    s = s + w;
+    s = half - s;
+    s = s - m;
     k = k * 0.6931471804855391;
-    return k + w;
+    k = k - s;
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    return (x > DBL_MAX) ? x : k;
 }
 
 /* ---- constants ---- */

@@ -33,113 +33,103 @@ typedef union
     uint64_t bits;
 } ship_track_bits_t;
 
-/* 2^exponent, for exponents of normal numbers */
-static double ship_track_power_of_two(int32_t exponent)
-{
-    ship_track_bits_t u;
-    u.bits = (uint64_t)(exponent + 1023) << 52;
-    return u.value;
-}
-
-/* natural logarithm: x = m 2^e, then a polynomial in ((m - 1)/(m + 1))^2 */
+/* natural logarithm: x = m 2^k, f = m - 1, then a polynomial in (f/(2 + f))^2 */
 static double ship_track_log(double x)
 {
     const double zero = 0.0;
+    const double lift = (x < DBL_MIN) ? 1.8014398509481984e+16 : 1.0;
+    const double offset = (x < DBL_MIN) ? 4503599627371573.0 : 4503599627371519.0;
     ship_track_bits_t u;
-    double s, z, w, even, odd, k, low;
-    int32_t e = 0;
-    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
-    if (x > DBL_MAX) { return x; }
-    if (x < DBL_MIN)
-    {
-        x = x * 1.8014398509481984e+16;
-        e = -54;
-    }
-    u.value = x;
-    e += (int32_t)(u.bits >> 52) - 1023;
-    u.bits = (u.bits & UINT64_C(0xfffffffffffff)) | UINT64_C(0x3ff0000000000000);
-    if (u.value > 1.4142135623730951)
-    {
-        u.value = u.value * 0.5;
-        e += 1;
-    }
-    k = (double)e;
-    s = u.value - 1.0;
-    w = s + 2.0;
-    s = s / w;
+    double k, m, s, z, w, even, odd, half;
+    uint64_t e;
+    u.value = x * lift;
+    e = (u.bits + UINT64_C(0x95f619980c433)) >> 52;
+    u.bits = u.bits - (e << 52) + UINT64_C(0x3ff0000000000000);
+    m = u.value - 1.0;
+    u.bits = e | UINT64_C(0x4330000000000000);
+    k = u.value - offset;
+    w = m + 2.0;
+    s = m / w;
     z = s * s;
     w = z * z;
-    even = 0.14616449685043406;
+    even = 0.14797088738106787;
     even = even * w;
-    even = even + 0.18182889125261723;
+    even = even + 0.18183565069341553;
     even = even * w;
-    even = even + 0.28571428625975487;
+    even = even + 0.2857142874212811;
     even = even * w;
-    even = even + 0.666666666666667;
-    odd = 0.15331721600556042;
+    even = even + 0.6666666666666734;
+    odd = 0.15313988675044787;
     odd = odd * w;
-    odd = odd + 0.2222221113479508;
+    odd = odd + 0.22222198582835967;
     odd = odd * w;
-    odd = odd + 0.39999999999899505;
-
+    odd = odd + 0.39999999999416647;
     odd = z * odd;
     even = even + odd;
-    w = s * z;
-    w = w * even;
-    low = k * 7.440617110012397e-11;
-    w = w + low;
-    s = s + s;
-    w = w + s;
+    z = z * even;
+    half = 0.5 * m;
+    half = half * m;
+    z = half + z;
+    s = s * z;
+    w = k * 7.440617110012397e-11;
+    s = s + w;
+    s = half - s;
+    s = s - m;
     k = k * 0.6931471804855391;
-    return k + w;
+    k = k - s;
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    return (x > DBL_MAX) ? x : k;
 }
 
-/* exponential: x = k log 2 + r, then a polynomial in r */
+/* exponential: x = k log 2 + r, then a polynomial in r; neither factor of 2^k overflows */
 static double ship_track_exp(double x)
 {
-    double y, part, r;
-    int32_t k, half;
-    if (x > 709.782712893384) { return DBL_MAX * 2.0; }
-    if (x < -745.1332191019411) { return 0.0; }
-    if (!(x <= DBL_MAX)) { return x; }
-    r = x * 1.4426950408889634;
-    r = r + ((x >= 0.0) ? 0.5 : -0.5);
-    k = (int32_t)r;
-    half = k / 2;
-    part = (double)k * 0.6931471804855391;
-    r = x - part;
-    part = (double)k * 7.440617110012397e-11;
-    r = r - part;
-    y = 1.6059043836821613e-10;
-    y = y * r;
-    y = y + 2.08767569878681e-09;
-    y = y * r;
-    y = y + 2.505210838544172e-08;
-    y = y * r;
-    y = y + 2.755731922398589e-07;
-    y = y * r;
-    y = y + 2.7557319223985893e-06;
-    y = y * r;
-    y = y + 2.48015873015873e-05;
-    y = y * r;
-    y = y + 0.0001984126984126984;
-    y = y * r;
-    y = y + 0.001388888888888889;
-    y = y * r;
-    y = y + 0.008333333333333333;
-    y = y * r;
-    y = y + 0.041666666666666664;
-    y = y * r;
-    y = y + 0.16666666666666666;
-    y = y * r;
-    y = y + 0.5;
-    y = y * r;
-    y = y + 1.0;
-    y = y * r;
-    y = y + 1.0;
-
-    y = y * ship_track_power_of_two(half);
-    return y * ship_track_power_of_two(k - half);
+    const double offset = 6755399441057790.0;
+    ship_track_bits_t u;
+    double k, r, z, low, even, odd;
+    uint64_t e, half;
+    x = (x > 710.0) ? 710.0 : x;
+    x = (x < -746.0) ? -746.0 : x;
+    u.value = x * 1.4426950408889634;
+    u.value = u.value + offset;
+    k = u.value - offset;
+    e = u.bits & UINT64_C(0xfff);
+    half = e >> 1;
+    low = k * 0.6931471804855391;
+    x = x - low;
+    low = k * 7.440617110012397e-11;
+    r = x - low;
+    z = r * r;
+    even = 2.0976135952357417e-09;
+    even = even * z;
+    even = even + 2.755707139322148e-07;
+    even = even * z;
+    even = even + 2.4801587556699307e-05;
+    even = even * z;
+    even = even + 0.0013888888888778448;
+    even = even * z;
+    even = even + 0.041666666666666824;
+    even = even * z;
+    even = even + 0.5;
+    odd = 2.5113913158773574e-08;
+    odd = odd * z;
+    odd = odd + 2.7557228727660715e-06;
+    odd = odd * z;
+    odd = odd + 0.00019841269903338274;
+    odd = odd * z;
+    odd = odd + 0.008333333333313899;
+    odd = odd * z;
+    odd = odd + 0.16666666666666688;
+    odd = r * odd;
+    even = even + odd;
+    z = z * even;
+    z = low - z;
+    z = x - z;
+    z = 1.0 + z;
+    u.bits = half << 52;
+    z = z * u.value;
+    u.bits = (e - half) << 52;
+    return z * u.value;
 }
 
 /* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r, then a polynomial in r r */

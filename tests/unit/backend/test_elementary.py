@@ -9,12 +9,15 @@ from plants import built, generated, spec
 
 from fkgen.backend.elementary import Elementary
 
+#: The reference goes on where a number overflows or is none, as C does.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
 REAL = {"double": np.float64, "float": np.float32}
 
 #: Largest errors in ulps that are allowed. Polynomials and reductions err by a rounding or two; the
 #: square root is Newton's, so correct but for the last rounding; atan2 halves its angle twice.
 #: The legs of an arc and the exponentials of a hyperbolic function add a rounding or two.
-ULPS = {"exp": 2.5, "log": 2.0, "sqrt": 1.0, "sin": 2.0, "cos": 2.0, "tan": 4.0, "atan2": 4.0}
+ULPS = {"exp": 0.95, "log": 0.9, "sqrt": 0.5, "sin": 2.0, "cos": 2.0, "tan": 4.0, "atan2": 4.0}
 ULPS |= {"asin": 5.0, "acos": 5.0, "sinh": 3.0, "cosh": 3.0, "tanh": 3.0, "hypot": 2.0}
 
 LIMITS = {"double": (-708.0, 709.0), "float": (-87.0, 88.0)}
@@ -114,12 +117,11 @@ class TestSpecialValues:
 
     def test_exponential(self, scalar):
         exp, real = Elementary(scalar).exp, REAL[scalar]
-        assert exp(real(0.0)) == 1.0
-        assert exp(real(-np.inf)) == 0.0
-        assert exp(real(np.inf)) == np.inf
-        assert exp(real(-1e5)) == 0.0
-        assert exp(real(1e5)) == np.inf
-        assert np.isnan(exp(real(np.nan)))
+        assert exp(real(0.0)) == exp(real(-0.0)) == 1.0
+        with np.errstate(all="ignore"):
+            assert exp(real(-np.inf)) == exp(real(-1e5)) == 0.0
+            assert exp(real(np.inf)) == exp(real(1e5)) == np.inf
+            assert np.isnan(exp(real(np.nan)))
 
     def test_exponential_fades_out_without_a_jump(self, scalar):
         exp, real = Elementary(scalar).exp, REAL[scalar]
