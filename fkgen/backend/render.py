@@ -21,7 +21,7 @@ from fkgen.backend.ir import (
     every,
     read,
 )
-from fkgen.backend.lanes.text import lanes_text
+from fkgen.backend.lanes.text import WHOLE, lanes_text
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
@@ -58,7 +58,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     files = complete(files, _facts(program, claims) | {"bytes": context["bytes"]})
     record = filled("record.c.j2", context)
-    lanes = lanes_text(program, context)
+    alone = elementary_context(Printer(program), program.functions - WHOLE)
+    lanes = lanes_text(program, context, alone)
     return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 

@@ -16,8 +16,6 @@ from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
-#: Functions over all lanes at once; others take one lane after the other.
-WHOLE = frozenset((Operator.EXP, Operator.LOG, Operator.SQRT))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,18 @@ LARGEST = 8000
 #: States up to which two groups of records take turns, so that one fills the divisions of the other.
 PAIRED = 6
 
+#: Functions over all lanes at once; others take one lane after the other.
+WHOLE = frozenset((ir.Operator.EXP, ir.Operator.LOG))
 _TWO = frozenset(("atan2", "hypot"))
 
 
-def lanes_text(program: ir.CProgram, context: dict[str, Any]) -> str:
-    """C over lanes; empty where the program is too large for it."""
+def lanes_text(
+    program: ir.CProgram, context: Mapping[str, Any], alone: Mapping[str, Any]
+) -> str:
+    """C over lanes; empty where the program is too large for it.
+
+    ``alone`` is what the template of elementary functions reads of those that are not in `WHOLE`.
+    """
     if program.statements > LARGEST:
         return ""
     c = LanesPrinter(program)
@@ -32,7 +40,9 @@ def lanes_text(program: ir.CProgram, context: dict[str, Any]) -> str:
         "letter": "d" if program.scalar == "double" else "s",
         "groups": 2 if len(program.states) <= PAIRED else 1,
         "functions": sorted(program.functions, key=lambda each: each.value),
+        "whole": {each.value for each in program.functions & WHOLE},
         "two": _TWO,
+        "alone": alone,
         "phases": list(verbs.items()),
         "printed": c.phase,
         "place_of": _place_of,
