@@ -10,9 +10,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.runtime.layout import Layout
+
 Array = NDArray[Any]
 
 _POINTER = ctypes.c_void_p
+
+#: Operations without lanes from which on it pays to compile them: some twenty batches of that size
+#: take as long as a compiler.
+WORTH, WORTH_A_STATEMENT = 20_000_000, 100_000
 
 
 class Batch(ctypes.Structure):
@@ -86,28 +92,42 @@ def of_records(function: Any, *more: Any) -> Records:
     return call
 
 
-def work_in_lanes(folder: Path, name: str, alone: Any) -> Records | None:
-    """The function that takes several records at once, compiled if it is not yet; None if there is none.
+class Lanes:
+    """The library that takes several records of a filter at once, found or made when it pays.
 
-    Parameters
-    ----------
-    folder : Path
-        The entry of a filter in the cache.
-    name : str
-        The name of the filter.
-    alone : pointer
-        The C function that does one sample of one record.
+    A batch that does without has the same bits: the library is compiled once the operations that
+    were done without it are worth its compilation, and kept beside the filter.
     """
-    from fkgen.runtime.compiler import lanes_library  # noqa: PLC0415 - it imports this module
 
-    source = folder / f"{name}_lanes.c"
-    library = lanes_library(source)
-    if library is None:
-        return None
-    try:
-        found = ctypes.CDLL(str(library))
-    except OSError:  # made for another machine
-        return None
-    if found[f"{name}_lanes"]() < 2:
-        return None
-    return of_records(found[f"{name}_lanes_records"], alone)
+    def __init__(self, folder: Path, layout: Layout, alone: Any) -> None:
+        self._folder, self._layout, self._alone = folder, layout, alone
+        self._spent, self._asked = 0, False
+        self.records: Records | None = None
+        self.width = 1  # records that go side by side
+
+    def taking(self, records: int, samples: int) -> Records | None:
+        """The function that filters a batch in lanes, if there is one."""
+        if records < 2:
+            return None
+        first = self._spent == 0
+        self._spent += max(1, records * samples) * self._layout.flops
+        worth = self._spent >= WORTH + WORTH_A_STATEMENT * self._layout.statements
+        if self.records is None and not self._asked and (first or worth):
+            self._asked = worth
+            self.records = self._found(build=worth)
+        return self.records
+
+    def _found(self, *, build: bool) -> Records | None:
+        from fkgen.runtime.compiler import lanes_library  # noqa: PLC0415 - it imports this module
+
+        name = self._layout.name
+        source = self._folder / f"{name}_lanes.c"
+        library = lanes_library(source, self._layout.statements, build=build)
+        try:
+            whole = None if library is None else ctypes.CDLL(str(library))
+        except OSError:
+            return None
+        if whole is None or whole[f"{name}_lanes"]() < 2:  # or a processor without vectors
+            return None
+        self.width = whole[f"{name}_lanes"]()
+        return of_records(whole[f"{name}_lanes_records"], self._alone)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused, of_type
 from fkgen.runtime import cache, record
-from fkgen.runtime.batch import Batch, Records, of_records, work_in_lanes
+from fkgen.runtime.batch import Batch, Lanes, of_records
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
@@ -26,9 +26,6 @@ _NUMBERS = frozenset((float, int))
 
 #: Samples that one thread filters at a stretch.
 BLOCK = 50_000
-
-#: Operations of a batch from which on it is worth to compile the filter over lanes, once and for all.
-WORTH = 20_000_000
 
 
 class CompiledFilter:
@@ -54,13 +51,13 @@ class CompiledFilter:
         path, pointer = str(entry / cache.LIBRARY), ctypes.c_void_p
         whole, short = ctypes.CDLL(path), ctypes.PyDLL(path)  # a short call keeps Python's lock
         self._records = of_records(whole[f"{layout.name}_records"])
-        self._alone = ctypes.cast(whole[f"{layout.name}_alone"], pointer)
+        alone = ctypes.cast(whole[f"{layout.name}_alone"], pointer)
         calls = ("init", "start", "step", "update", "predict")
         found = [short[f"{layout.name}_call_{name}"] for name in calls]
         self._init, self._start, self._step, self._update, self._predict = found
         if layout.own_prior:
             self._prior = short[f"{layout.name}_call_prior"]
-        self._lanes: list[Records | None] = []  # empty until it is worth to look for them
+        self._lanes = Lanes(entry, layout, alone)
         self._type = layout.structure()
         if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
@@ -184,16 +181,11 @@ class CompiledFilter:
         found = self._room(shape, keep)
         starts = self._starts(start, given, shape[0])
         batch = self._batch(starts, (records, driven), given, found)
-        in_blocks(self._work(shape, batch), shape[0], max(1, BLOCK // max(1, shape[1])), advance)
+        filtered = self._lanes.taking(*shape) or self._records
+        width = self._lanes.width
+        size = width * max(1, BLOCK // (width * max(1, shape[1])))
+        in_blocks(lambda *some: filtered(batch, *some), shape[0], size, advance)
         return found
-
-    def _work(self, shape: tuple[int, ...], batch: Batch) -> Callable[[int, int], None]:
-        """What filters records from one to another: in lanes, where that is worth a compilation."""
-        if shape[0] > 1 and shape[0] * shape[1] * self.layout.flops >= WORTH and not self._lanes:
-            self._lanes.append(work_in_lanes(self.folder, self.name, self._alone))
-        several = self._lanes[0] if self._lanes and shape[0] > 1 else None
-        records = self._records if several is None else several
-        return lambda first, stop: records(batch, first, stop)
 
     def step(
         self,

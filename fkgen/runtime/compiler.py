@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot
 
-#: Operations in the text of a step beyond which -O2 takes longer to compile than anyone waits.
+#: The name under which compilers know the processor that they run on.
+NATIVE = "native"
+
+#: Operations in the text of a step beyond which -O3 takes longer to compile than anyone waits.
 LARGE = 8000
 
 _FLAGS = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
-#: What makes the most of the processor.
-LANES = ("-O3", "-march=native")
 _WAIT = 600
 
 
@@ -69,16 +70,25 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
     real = Path(path).resolve()
     stat = real.stat()
     flags = os.environ.get("FKGEN_CFLAGS", "").split()
-    identity = " ".join([f"{real}:{stat.st_size}:{stat.st_mtime_ns}", *flags])
+    known = [f"{real}:{stat.st_size}:{stat.st_mtime_ns}", cache.processor()]
+    identity = " ".join([*known, *flags])
     return Compiler(command, identity, tuple(flags))
 
 
-def compile_shared(
-    compiler: Compiler, source: Path, library: Path, *, statements: int, flags: Sequence[str] = ()
-) -> None:
-    """Compile one file into a shared library; ``flags`` come after fkgen's own."""
-    optimisation = "-O2" if statements <= LARGE else "-O1"
-    flags = (*_FLAGS, optimisation, *flags, *compiler.flags)
+def compile_shared(compiler: Compiler, source: Path, library: Path, *, statements: int) -> None:
+    """Compile one file into a shared library, for this processor where the compiler knows it."""
+    optimisation = "-O3" if statements <= LARGE else "-O1"
+    own = (*_FLAGS, optimisation)
+    known = (f"-march={NATIVE}",) if cache.processor() else ()
+    try:
+        _compile(compiler, (*own, *known, *compiler.flags), source, library)
+    except CompilerError:
+        if not known:
+            raise
+        _compile(compiler, (*own, *compiler.flags), source, library)
+
+
+def _compile(compiler: Compiler, flags: tuple[str, ...], source: Path, library: Path) -> None:
     command = [*compiler.command, *flags, str(source), "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
@@ -110,22 +120,23 @@ def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler
     return cache.store(key, fill)
 
 
-def lanes_library(source: Path) -> Path | None:
-    """The library over lanes of an entry, compiled if it is not there yet; None if there is none.
+def lanes_library(source: Path, statements: int, *, build: bool) -> Path | None:
+    """The library over lanes of an entry; None if there is none.
 
-    Its name holds the compiler and the processor, for which it is made.
+    It is compiled, if it is not there yet, where ``build`` says so. Its name holds the compiler and
+    the processor: a folder of the cache may be shared by machines.
     """
     try:
         compiler = find_compiler()
         library = source.with_name(f"lanes-{cache.key_of(compiler.identity)[:12]}.so")
-        if source.exists() and not library.exists():
+        if build and source.exists() and not library.exists():
             with tempfile.TemporaryDirectory(prefix=".building-", dir=source.parent) as folder:
                 made = Path(folder) / library.name
-                compile_shared(compiler, source, made, statements=0, flags=LANES)
+                compile_shared(compiler, source, made, statements=statements)
                 made.replace(library)
+        return library if library.exists() else None
     except (CompilerError, OSError):  # a batch does without
         return None
-    return library if library.exists() else None
 
 
 def revived(key: str, texts: Mapping[str, str], snapshot: Snapshot) -> CompiledFilter:

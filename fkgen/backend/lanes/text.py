@@ -15,6 +15,8 @@ from fkgen.symbolic.interface import Port, Status
 
 #: Statements of a step beyond which a compiler would work on the lanes for too long.
 LARGEST = 8000
+#: The same up to which samples with all rows have a text without masks of their own.
+TWO_WAYS = 1500
 #: States up to which two groups of records take turns, so that one fills the divisions of the other.
 PAIRED = 6
 
@@ -38,6 +40,7 @@ def lanes_text(
         "c": c,
         "width": BYTES[program.scalar],
         "letter": "d" if program.scalar == "double" else "s",
+        "two_ways": program.statements <= TWO_WAYS,
         "groups": 2 if len(program.states) <= PAIRED else 1,
         "functions": sorted(program.functions, key=lambda each: each.value),
         "whole": {each.value for each in program.functions & WHOLE},
