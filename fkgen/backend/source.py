@@ -42,7 +42,7 @@ class Source:
     record : str
         C that runs a record, compiled for Python only.
     lanes : str
-        C that runs several records at once in the lanes of vectors, likewise; empty if there is none.
+        C that runs several records at once in the lanes of vectors, likewise; empty if too large.
     claims : tuple of str
         What was proved about the filter.
     """

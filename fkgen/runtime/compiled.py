@@ -374,7 +374,8 @@ class CompiledFilter:
         self, starts: list[bytes], data: tuple[Array, Array], parameters: list[Array], found: Run
     ) -> Batch:
         """What C is given of records and of the places of results."""
-        out = [found[p.name] if p.name in found else None for p in self.layout.ports]
+        wanted = {name: found[name] for name in found.ports}
+        out = [wanted.get(port.name) for port in self.layout.ports]
         instances = np.frombuffer(bytearray().join(starts), np.uint8).reshape(len(starts), -1)
         return Batch.of(instances, data, parameters, (out, found.status, found.held))
 

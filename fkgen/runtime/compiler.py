@@ -18,7 +18,7 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.layout import Layout, layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot

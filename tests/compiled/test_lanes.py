@@ -55,9 +55,7 @@ def batch(plant, seed=8):
     y[:, 3] = 0.25
     u = rng.standard_normal((M, T, plant.model.nu))
     u[rng.uniform(size=u.shape) < 0.02] = np.inf
-    params = {
-        name: value * rng.uniform(0.8, 1.2, (M, T)) for name, value in plant.defaults.items()
-    }
+    params = {name: value * rng.uniform(0.8, 1.2, (M, T)) for name, value in plant.defaults.items()}
     for values in params.values():
         values[2, 5], values[4, 7] = np.nan, -1e3
     return y, u if plant.model.nu else None, params

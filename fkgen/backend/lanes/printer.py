@@ -6,6 +6,7 @@ nowhere. A lane in which something is refused is marked, and does its sample aga
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass, replace
 
 from fkgen.backend import ir
@@ -24,7 +25,6 @@ class Branch:
 
     mask: str = ""
     depth: int = 0
-    rows_only: bool = True  # Where every row is present in every lane, all of them take it
 
 
 class LanesPrinter(StatementPrinter):
@@ -45,8 +45,7 @@ class LanesPrinter(StatementPrinter):
 
     def body(self, body: ir.Body, branch: Branch) -> str:
         """Statements in a branch, indented once."""
-        lines = "\n".join(self.lane(node, branch) for node in body)
-        return "\n".join(f"    {line}" if line else "" for line in lines.split("\n"))
+        return textwrap.indent("\n".join(self.lane(node, branch) for node in body), "    ")
 
     def lane(self, node: ir.Statement, branch: Branch) -> str:
         """One statement as C."""
@@ -73,8 +72,7 @@ class LanesPrinter(StatementPrinter):
     def _assign(self, node: ir.Assign, branch: Branch) -> str:
         target, value = self.operand(node.target), self.vector(node.value)
         if branch.mask:
-            whole = "whole" if branch.rows_only else "0"
-            value = f"{self.name}_select({whole}, {branch.mask}, {value}, {target})"
+            value = f"{self.name}_select({branch.mask}, {value}, {target})"
         return f"{target} = {value};"
 
     def _require(self, node: ir.Require, branch: Branch) -> str:
@@ -92,24 +90,23 @@ class LanesPrinter(StatementPrinter):
         if isinstance(node.row, ir.RowArgument):
             raise InternalError("a row of a routine in a program")
         mask = "any_row" if node.row is None else f"present[{node.row}]"
-        return self._under(mask, node.body, branch, rows=True)
+        return self._under(mask, node.body, branch)
 
     def _ifpositive(self, node: ir.IfPositive, branch: Branch) -> str:
         mask = f"({self.mask_type})({self.vector(node.value)} > {self.literal(0.0)})"
-        return self._under(mask, node.body, branch, rows=False)
+        return self._under(mask, node.body, branch)
 
-    def _under(self, mask: str, body: ir.Body, branch: Branch, *, rows: bool) -> str:
-        """A branch: it is left out where no lane takes it."""
+    def _under(self, mask: str, body: ir.Body, branch: Branch) -> str:
+        """A branch twice: as it is where all lanes take it, and with a mask where some do."""
         name = f"taken{branch.depth}"
-        inner = replace(
-            branch, mask=name, depth=branch.depth + 1, rows_only=rows and branch.rows_only
-        )
         both = f"{branch.mask} & {mask}" if branch.mask else mask
-        ask = f"{self.name}_any({name})"
-        ask = f"whole || {ask}" if inner.rows_only else ask
-        declared = f"    const {self.mask_type} {name} = {both};"
-        inside = "\n".join(f"    {line}" for line in self.body(body, inner).split("\n"))
-        return f"{{\n{declared}\n    if ({ask})\n    {{\n{inside}\n    }}\n}}"
+        some = self.body(body, Branch(name, branch.depth + 1))
+        ways = [f"if ({self.name}_any({name}))\n{{\n{some}\n}}"]
+        if not branch.mask:
+            every = self.body(body, replace(branch, depth=branch.depth + 1))
+            ways.insert(0, f"if (!{self.name}_any(~{name}))\n{{\n{every}\n}}")
+        asked = textwrap.indent("\nelse ".join(ways), "    ")
+        return f"{{\n    const {self.mask_type} {name} = {both};\n{asked}\n}}"
 
     def _for(self, node: ir.For, branch: Branch) -> str:
         head = f"for (int {node.index} = {node.begin}; {node.index} < {node.end}; ++{node.index})"

@@ -11,23 +11,17 @@ from fkgen.backend import ir
 from fkgen.backend.lanes.printer import LanesPrinter
 from fkgen.backend.lines import filled
 from fkgen.backend.size.stack import BYTES
-from fkgen.symbolic.interface import Port, Status
+from fkgen.symbolic.interface import Outcome, Port, Status
 
 #: Statements of a step beyond which a compiler would work on the lanes for too long.
 LARGEST = 8000
-#: The same up to which samples with all rows have a text without masks of their own.
-TWO_WAYS = 1500
-#: States up to which two groups of records take turns, so that one fills the divisions of the other.
-PAIRED = 6
 
 #: Functions over all lanes at once; others take one lane after the other.
 WHOLE = frozenset((ir.Operator.EXP, ir.Operator.LOG))
 _TWO = frozenset(("atan2", "hypot"))
 
 
-def lanes_text(
-    program: ir.CProgram, context: Mapping[str, Any], alone: Mapping[str, Any]
-) -> str:
+def lanes_text(program: ir.CProgram, context: Mapping[str, Any], alone: Mapping[str, Any]) -> str:
     """C over lanes; empty where the program is too large for it.
 
     ``alone`` is what the template of elementary functions reads of those that are not in `WHOLE`.
@@ -35,18 +29,16 @@ def lanes_text(
     if program.statements > LARGEST:
         return ""
     c = LanesPrinter(program)
-    verbs = {verb: phase for verb, phase in program.verbs.items() if phase in program.phases}
+    verbs = ("correct", "close_window", "propagate")
     own = {
         "c": c,
         "width": BYTES[program.scalar],
         "letter": "d" if program.scalar == "double" else "s",
-        "two_ways": program.statements <= TWO_WAYS,
-        "groups": 2 if len(program.states) <= PAIRED else 1,
         "functions": sorted(program.functions, key=lambda each: each.value),
         "whole": {each.value for each in program.functions & WHOLE},
         "two": _TWO,
         "alone": alone,
-        "phases": list(verbs.items()),
+        "phases": [(verb, program.verbs[verb]) for verb in verbs if verb in program.verbs],
         "printed": c.phase,
         "place_of": _place_of,
         "full_places": {_place_of(port): places(port) for port in program.ports if port.symmetric},
@@ -59,7 +51,7 @@ def lanes_text(
     return filled("lanes.c.j2", {**context, **own})
 
 
-def _above(c: LanesPrinter, program: ir.CProgram, outcome: ir.Outcome) -> str:
+def _above(c: LanesPrinter, program: ir.CProgram, outcome: Outcome) -> str:
     """Mask of the lanes in which an outcome applies."""
     port = next(port for port in program.ports if port.name == outcome.port)
     places = [f"[{i}]" for i in range(port.size)] if port.shape else [""]

@@ -45,9 +45,7 @@ def needless_logarithms(program: ir.CProgram, phase: ir.Phase) -> dict[Temp, fro
         return found
 
     logs = (
-        node.target
-        for node in ir.every(ir.Operate, phase.body)
-        if node.operator is Operator.LOG
+        node.target for node in ir.every(ir.Operate, phase.body) if node.operator is Operator.LOG
     )
     return {temp: found for temp in logs if (found := ports(temp))}
 
