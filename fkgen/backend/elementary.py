@@ -8,7 +8,6 @@ fits where that halves the degree (`log`); accuracies are tested against libm.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partialmethod
 from typing import Any
@@ -29,19 +28,26 @@ class Format:
     bias: int
     log: tuple[float, ...]  # p(z) with log((1 + s)/(1 - s)) = 2 s + s z p(z), z = s s
     exp: tuple[float, ...]  # q(r) with exp(r) = 1 + r + r r q(r)
-    #: sin, cos, atan, sinh, cosh: Taylor coefficients, lowest first, of z = r r
-    sin: tuple[float, ...]
-    cos: tuple[float, ...]
-    atan: tuple[float, ...]
+    sin: tuple[float, ...]  # p(z) with sin(r) = r + r z p(z), z = r r
+    cos: tuple[float, ...]  # p(z) with cos(r) = 1 - z/2 + z z p(z)
+    atan: tuple[float, ...]  # p(z) with atan(q) = q + q z p(z), z = q q
+    asin: tuple[float, ...]  # p(z) with asin(v) = v + v z p(z), z = v v
+    #: sinh, cosh: Taylor coefficients, lowest first, of z = r r
     sinh: tuple[float, ...]
     cosh: tuple[float, ...]
-    #: ln2, half_pi: The constant as a sum, leading parts with trailing zeros, so that multiples
-    #: are exact
+    #: ln2, half_pi, quarter_pi: The constant as a sum, leading parts with trailing zeros, so that
+    #: multiples are exact
     ln2: tuple[float, float]
+    quarter_pi: tuple[float, float]
     half_pi: tuple[float, float, float]
     #: overflow, underflow: exp of them and beyond is infinite, and 0
     overflow: float
     underflow: float
+
+    @property
+    def eighth(self) -> float:
+        """tan(pi/8): beyond this quotient an angle is counted from pi/4."""
+        return math.tan(math.pi / 8.0)
 
     @property
     def one(self) -> int:
@@ -65,21 +71,30 @@ class Format:
         return 1.5 * 2.0**self.mantissa + 2 * self.bias
 
     @property
+    def upper(self) -> int:
+        """A mask of the upper half of a significand, whose square is exact."""
+        half = self.mantissa // 2 + 1
+        return ((1 << (self.mantissa + self.bias.bit_length() + 2)) - 1) >> half << half
+
+    @property
+    def far(self) -> int:
+        """Squares of numbers from 2^-far to 2^far are normal, and so is their unit of rounding."""
+        return self.bias // 2 - 11
+
+    @property
+    def unit(self) -> int:
+        """The power of two that brings all others between these."""
+        return self.bias + self.mantissa - self.far
+
+    @property
     def even(self) -> int:
         """An even power of two that lifts every number to a normal one."""
         return (self.mantissa + 2) // 2 * 2
 
 
-def _alternating(degree: int, divisor: Callable[[int], int]) -> tuple[float, ...]:
-    return tuple((-1.0) ** k / divisor(k) for k in range(degree + 1))
-
-
 def _format(degrees: tuple[int, ...], **constants: Any) -> Format:
-    sin, cos, atan, sinh, cosh = degrees
+    sinh, cosh = degrees
     return Format(
-        sin=_alternating(sin, lambda k: math.factorial(2 * k + 1)),
-        cos=_alternating(cos, lambda k: math.factorial(2 * k)),
-        atan=_alternating(atan, lambda k: 2 * k + 1),
         sinh=tuple(1.0 / math.factorial(2 * k + 1) for k in range(sinh + 1)),
         cosh=tuple(1.0 / math.factorial(2 * k) for k in range(cosh + 1)),
         **constants,
@@ -93,7 +108,7 @@ _hex = float.fromhex
 #: in double, 9e-10 and 5e-9 in float.
 FORMATS: dict[Scalar, Format] = {
     "double": _format(
-        (8, 9, 12, 9, 7),
+        (9, 7),
         mantissa=52,
         bias=1023,
         log=(
@@ -106,13 +121,59 @@ FORMATS: dict[Scalar, Format] = {
             *(2.7557228727660715e-06, 2.755707139322148e-07, 2.5113913158773574e-08),
             2.0976135952357417e-09,
         ),
+        sin=(
+            -0.1666666666666663,
+            0.00833333333332184,
+            -0.00019841269829358644,
+            2.7557313538593055e-06,
+            -2.505073442971143e-08,
+            1.5895439353100722e-10,
+        ),
+        cos=(
+            0.041666666666666595,
+            -0.0013888888888873338,
+            2.4801587288996726e-05,
+            -2.755731421479159e-07,
+            2.0875705007432117e-09,
+            -1.1358725475176406e-11,
+        ),
+        atan=(
+            -0.333333333333332,
+            0.19999999999953672,
+            -0.14285714280183792,
+            0.11111110781878467,
+            -0.0909089769246056,
+            0.07692058835454084,
+            -0.0666308719101043,
+            0.058477655887819655,
+            -0.05038767884096675,
+            0.03805190369340053,
+            -0.017894758614626697,
+        ),
+        asin=(
+            0.1666666666666666,
+            0.07500000000002384,
+            0.04464285713982725,
+            0.03038194463775042,
+            0.022372151807556067,
+            0.01735294138255033,
+            0.013961923606315273,
+            0.011585539563931548,
+            0.009484574677601415,
+            0.010009050510717146,
+            0.0006761860916763652,
+            0.024858382025754355,
+            -0.02621567519471982,
+            0.03369649092254303,
+        ),
+        quarter_pi=(_hex("0x1.921fb54442d18p-1"), _hex("0x1.1a62633145c07p-55")),
         ln2=(_hex("0x1.62E42FEFp-1"), _hex("0x1.473DE6AF278EDp-34")),
         half_pi=tuple(map(_hex, ("0x1.921FB544p0", "0x1.0B4611A6p-34", "0x1.3198A2E037073p-69"))),
         overflow=710.0,
         underflow=-746.0,
     ),
     "float": _format(
-        (4, 5, 5, 5, 4),
+        (5, 4),
         mantissa=23,
         bias=127,
         log=(0.6666677594184875, 0.39977583289146423, 0.2987079620361328),
@@ -120,6 +181,11 @@ FORMATS: dict[Scalar, Format] = {
             *(0.5, 0.16666488349437714, 0.04166555032134056, 0.008372289128601551),
             0.0014035810017958283,
         ),
+        sin=(-0.16666655, 0.008332189, -0.00019518285),
+        cos=(0.041666646, -0.001388731, 2.443237e-05),
+        atan=(-0.33333316, 0.19998528, -0.14244393, 0.1059919, -0.06090127),
+        asin=(0.16666752, 0.074953094, 0.045469433, 0.024181692, 0.0421664),
+        quarter_pi=(_hex("0x1.921fb00000000p-1"), _hex("0x1.5110b40000000p-23")),
         ln2=(_hex("0x1.62E4p-1"), _hex("0x1.7F7D1CF8p-20")),
         half_pi=(_hex("0x1.92p0"), _hex("0x1.FB4p-12"), _hex("0x1.4442D18p-24")),
         overflow=89.0,
@@ -131,6 +197,12 @@ FORMATS: dict[Scalar, Format] = {
 def _size(x: Number) -> Number:
     """The magnitude as C asks for it: minus zero stays."""
     return -x if x < 0 else x
+
+
+def _joined(large: Number, small: Number, rest: Number) -> Number:
+    """The sum of three numbers, of which the first is the largest or 0, all but exact."""
+    total = large + small
+    return total + (((large - total) + small) + rest)
 
 
 class Elementary:
@@ -158,6 +230,10 @@ class Elementary:
 
     def _of_bits(self, bits: int) -> Number:
         return self._bits(bits).view(self.real)
+
+    def _upper(self, x: Number) -> Number:
+        """The upper half of a significand."""
+        return self._of_bits(int(x.view(self._bits)) & self.format.upper)
 
     def log(self, x: Number) -> Number:
         """Natural logarithm; NaN below zero, -infinity at zero."""
@@ -209,14 +285,24 @@ class Elementary:
         real, f = self.real, self.format
         if not abs(x) <= real(1e5):
             return (x - x) / real(0.0)
-        half = real(0.5) if x >= 0 else real(-0.5)
-        k = int(x * real(2.0 / math.pi) + half)
-        n = real(k)
-        r = ((x - n * real(f.half_pi[0])) - n * real(f.half_pi[1])) - n * real(f.half_pi[2])
-        k += quarter
+        offset, one = real(1.5 * 2.0**f.mantissa), real(1.0)
+        k = (x * real(2.0 / math.pi) + offset) - offset
+        high, middle, small = (k * real(part) for part in f.half_pi)
+        near = x - high
+        first = near - middle
+        low = ((near - first) - middle) - small
+        r = first + low
+        low = (first - r) + low
         z = r * r
-        y = self._horner(f.cos, z) if k & 1 else r * self._horner(f.sin, z)
-        return -y if k & 2 else y
+        w = z * z
+        if (int(k) + quarter) & 1:
+            rest = w * self._halves(f.cos, z, w) - r * low
+            z = real(0.5) * z
+            y = one - z
+            y = y + (((one - y) - z) + rest)
+        else:
+            y = r + (r * (z * self._halves(f.sin, z, w)) + low)
+        return -y if (int(k) + quarter) & 2 else y
 
     sin = partialmethod(_wave, 0)
     cos = partialmethod(_wave, 1)
@@ -227,40 +313,66 @@ class Elementary:
 
     def atan2(self, y: Number, x: Number) -> Number:
         """Angle of the point (x, y)."""
-        real = self.real
+        real, f = self.real, self.format
         a, b = _size(y), _size(x)
         low, high = (a, b) if a <= b else (b, a)
-        t = low / high if high > 0 else high + real(0.0)  # a NaN stays one
-        for _ in range(2):
-            t = t / (real(1.0) + self.sqrt(real(1.0) + t * t))
-        angle = real(4.0) * (t * self._horner(self.format.atan, t * t))
+        scale = real(1.0)  # its reciprocal is neither infinite nor subnormal then
+        if high > real(2.0 ** (f.bias - 3)):
+            scale = real(2.0**-4)
+        elif high < real(2.0**-f.far):
+            scale = real(2.0**f.unit)
+        low, high = scale * low, scale * high
+        k, more, less = real(0.0), real(0.0), real(0.0)
+        if low > high * real(f.eighth):
+            k, more, less = real(1.0), low, high
+        above, below = low - less, high + more
+        inverse = real(1.0) / below if below > 0 else low + high  # a NaN stays one
+        q = above * inverse
+        lost = (low - (above + less)) - q * ((high - below) + more)  # by difference and sum
+        upper, part = self._upper(q), self._upper(below)
+        rest = ((above - upper * part) - upper * (below - part)) - (q - upper) * below
+        rest = (rest + lost) * inverse if below - below == 0 else real(0.0)
         if not a <= b:
-            angle = real(math.pi / 2.0) - angle
+            q, rest, k = -q, -rest, real(2.0) - k
         if x < 0:
-            angle = real(math.pi) - angle
+            q, rest, k = -q, -rest, real(4.0) - k
+        z = q * q
+        small = (q * (z * self._halves(f.atan, z, z * z)) + k * real(f.quarter_pi[1])) + rest
+        angle = _joined(k * real(f.quarter_pi[0]), q, small)
         return -angle if y < 0 else angle
 
-    def asin(self, x: Number) -> Number:
-        """Arc sine; NaN outside [-1, 1]."""
-        return self.atan2(x, self._opposite(x))
+    def _arc(self, cosine: int, x: Number) -> Number:
+        """Arc sine or arc cosine; NaN outside [-1, 1]."""
+        real, f = self.real, self.format
+        a, sign, one = _size(x), real(-1.0 if x < 0 else 1.0), real(1.0)
+        z, v, h, k, factor = x * x, x, x, real(0.0), one
+        if a > real(0.5):
+            z, k, factor = real(0.5) * (one - a), sign, real(-2.0) * sign
+            v = self.sqrt(z)
+            h = self._upper(v)
+        if cosine:
+            k, factor = one - k, -factor
+        lost = (z - h * h) / (h + v) if h + v > 0 else real(0.0)  # by the rounding of v
+        rest = factor * (v * (z * self._halves(f.asin, z, z * z)) + lost)
+        pair = [real(2.0 * part) for part in f.quarter_pi]
+        return _joined(k * pair[0], factor * h, rest + k * pair[1])
 
-    def acos(self, x: Number) -> Number:
-        """Arc cosine; NaN outside [-1, 1]."""
-        return self.atan2(self._opposite(x), x)
-
-    def _opposite(self, x: Number) -> Number:
-        """The other leg of a triangle with hypotenuse 1."""
-        one = self.real(1.0)
-        return self.sqrt((one - x) * (one + x))
+    asin = partialmethod(_arc, 0)
+    acos = partialmethod(_arc, 1)
 
     def hypot(self, x: Number, y: Number) -> Number:
         """Length of (x, y), which overflows only if the result does."""
+        real, f = self.real, self.format
         a, b = _size(x), _size(y)
-        low, high = (a, b) if a <= b else (b, a)
-        if not low > 0:
-            return low + high
-        t = low / high
-        return high * self.sqrt(self.real(1.0) + t * t)
+        most = max(b, a)
+        unit = f.unit if most < real(2.0**-f.far) else -f.unit if most > real(2.0**f.far) else 0
+        large, small = real(2.0**unit) * most, real(2.0**unit) * (min(a, b))
+        square = small * small
+        h = self.sqrt(large * large + square)
+        if h > 0 and h - h == 0:
+            d = h - large
+            h = h + ((square - (large + large) * d) - d * d) / (h + h)
+        return real(2.0**-unit) * h
 
     def _grown(self, a: Number) -> tuple[Number, Number]:
         """exp(a)/2 and exp(-a)/2 for a >= 0, where exp(a) alone may overflow."""

@@ -271,12 +271,12 @@ def _shared_context(scalar: Scalar) -> dict[str, object]:
 
 
 def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
-    """Names, constants, and which functions there are; sqrt where atan2 needs it."""
+    """Names, constants, and which functions there are; sqrt where hypot needs it."""
     needs = {op.value: op in functions for op in Operator if op.is_function}
     needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
     needs["exp"] = needs["exp"] or needs["sinh"] or needs["cosh"] or needs["tanh"]
-    needs["atan2"] = needs["atan2"] or needs["asin"] or needs["acos"]
-    needs["sqrt"] = needs["sqrt"] or needs["atan2"] or needs["hypot"]
+    needs["arc"] = needs["asin"] or needs["acos"]
+    needs["sqrt"] = needs["sqrt"] or needs["arc"] or needs["hypot"]
     return {
         "c": c,
         "name": c.name,

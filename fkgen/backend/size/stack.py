@@ -44,7 +44,6 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
     for phase in outlined.phases:
         plain.append(_plain(phase.locals, phase.body, routines, size))
         small.append(_small(phase.locals, phase.body, routines, size))
-    small.append(instance if program.repeats is not None else 0)  # a step after an update
     together = sum(plain) if inlined else max(plain)
     together += together // 8  # what expressions keep on the way
     return Stack(
