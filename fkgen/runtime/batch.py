@@ -39,11 +39,6 @@ class Batch(ctypes.Structure):
         ("held", _POINTER),
     )
 
-    @property
-    def instance(self) -> bytes:
-        """The first instance, as it is now."""
-        return bytes(self.lives[0][0])
-
     @classmethod
     def of(
         cls,

@@ -17,7 +17,7 @@ from fkgen.runtime.batch import Batch, Lanes, of_records
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
-from fkgen.runtime.start import Priors, own_bytes, priors
+from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
@@ -50,13 +50,12 @@ class CompiledFilter:
         self.claims = layout.claims
         path, pointer = str(entry / cache.LIBRARY), ctypes.c_void_p
         whole, short = ctypes.CDLL(path), ctypes.PyDLL(path)  # a short call keeps Python's lock
-        self._records = of_records(whole[f"{layout.name}_records"])
-        alone = ctypes.cast(whole[f"{layout.name}_alone"], pointer)
-        calls = ("init", "start", "step", "update", "predict")
-        found = [short[f"{layout.name}_call_{name}"] for name in calls]
-        self._init, self._start, self._step, self._update, self._predict = found
-        if layout.own_prior:
-            self._prior = short[f"{layout.name}_call_prior"]
+        self._records = of_records(whole[f"{layout.name}_call_records"])
+        alone = ctypes.cast(whole[f"{layout.name}_call_alone"], pointer)
+        found = [short[f"{layout.name}_call_{name}"] for name in ("step", "update", "predict")]
+        self._step, self._update, self._predict = found
+        self._begin = whole[f"{layout.name}_call_starts"]
+        self._begin.argtypes = tuple(c for _ in range(4) for c in (pointer, ctypes.c_int64))
         self._lanes = Lanes(entry, layout, alone)
         self._type = layout.structure()
         if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
@@ -123,21 +122,21 @@ class CompiledFilter:
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         found = self._room((len(measured),), keep)
-        instance = self._starts(start, given)[0]
-        self._filter(instance, (measured, driven), given, found)
+        self._filter(self._starts(start, given), (measured, driven), given, found)
         return found
 
     def pieces(self, keep: Sequence[str] | None = None) -> Callable[..., Run]:
         """A function of (y, u, params) that filters a record piece by piece, as `run` the whole."""
-        latest: list[bytes] = []
+        latest: list[NDArray[np.uint8]] = []
 
         def piece(y: ArrayLike, u: ArrayLike | None, params: Mapping[str, ArrayLike] | None) -> Run:
             measured = record.measurements(self.layout, y)
             driven = record.inputs(self.layout, u, len(measured))
             given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
             found = self._room((len(measured),), keep)
-            start = latest.pop() if latest else self._starts(None, given)[0]
-            latest.append(self._filter(start, (measured, driven), given, found))
+            if not latest:
+                latest.append(self._starts(None, given))
+            self._filter(latest[0], (measured, driven), given, found)
             return found
 
         return piece
@@ -261,9 +260,10 @@ class CompiledFilter:
         StepRefused
             If C refuses the prior; the instance is unchanged.
         """
-        self._place_parameters(params or {})
         given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
-        self._begin(self._call, priors(self.layout, given), 0)
+        told = record.values_of(self.layout.parameters, params, 1, self._dtype)
+        data = self._starts(given, told)
+        ctypes.memmove(ctypes.addressof(self._instance), data.ctypes.data, data.size)
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -327,57 +327,54 @@ class CompiledFilter:
         start: Snapshot | Mapping[str, ArrayLike] | None,
         parameters: list[Array],
         records: int | None = None,
-    ) -> list[bytes]:
-        """Instances to start from: one, or one for each record."""
+    ) -> NDArray[np.uint8]:
+        """Instances to start from, (1, bytes), or (M, bytes) with one for each record."""
         if isinstance(start, Snapshot):
-            return [own_bytes(self.layout, start)]
+            return np.frombuffer(bytearray(own_bytes(self.layout, start)), np.uint8)[np.newaxis]
         prior = priors(self.layout, {} if start is None else start, records)
-        of_each = [len(each) for each in prior if each is not None]
-        count = max([1, *of_each, *(len(values) for values in parameters if values.ndim == 2)])
-        instance, first = self._type(), type(self._parameters)()
-        call, found = ctypes.byref(self._given(instance, first)), []
-        for m in range(count):
-            for i, values in enumerate(parameters):
-                of_m = values[m] if values.ndim == 2 else values
-                first[i] = of_m[0] if len(of_m) else self.layout.parameters[i][1]
-            self._begin(call, prior, m)
-            found.append(bytes(instance))
-        return found
-
-    def _begin(self, call: Any, prior: Priors, m: int) -> None:
-        """Start the instance of a call from the prior of the spec, or from that of a record."""
-        if all(each is None for each in prior):
-            self._accepted(self._init(call))
-            return
-        own = [np.array(each, self._dtype) for each in self.layout.prior]
-        places = [ctypes.c_void_p(each.ctypes.data) for each in own]
-        if self.layout.own_prior and any(each is None for each in prior):
-            self._accepted(self._prior(call, *places))
-        for place, each in zip(own, prior, strict=True):
-            if each is not None:
-                place[:] = each[m % len(each)]
-        self._accepted(self._start(call, *places))
+        rows = [np.atleast_2d(values) for values in parameters]
+        rows = [
+            row if row.shape[1] else np.array([[default]], self._dtype)
+            for row, (_, default) in zip(rows, self.layout.parameters, strict=True)
+        ]
+        count = max(len(each) for each in (*rows, *prior, (1,)) if each is not None)
+        instances = np.empty((count, ctypes.sizeof(self._type)), np.uint8)
+        steps = np.array([row.shape[1] if len(row) > 1 else 0 for row in rows], np.int64)
+        places = np.array([row.ctypes.data for row in rows], np.uintp)
+        given: list[int | None] = []
+        for each in prior:
+            given += (
+                [None, 0] if each is None else [each.ctypes.data, len(each) > 1 and each[0].size]
+            )
+        at = instances.ctypes.data
+        self._accepted(self._begin(at, count, places.ctypes.data, steps.ctypes.data, *given))
+        return instances
 
     def _accepted(self, status: int) -> None:
         if status < 0:
             self._refuse(status)
 
     def _filter(
-        self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
-    ) -> bytes:
-        """Filter y and u; return the instance as it is afterwards."""
-        batch = self._batch([start], (data[0][np.newaxis], data[1]), parameters, found)
-        self._records(batch, 0, 1)
-        return batch.instance
+        self,
+        starts: NDArray[np.uint8],
+        data: tuple[Array, Array],
+        parameters: list[Array],
+        found: Run,
+    ) -> None:
+        """Filter y and u; the instance moves on."""
+        self._records(self._batch(starts, (data[0][np.newaxis], data[1]), parameters, found), 0, 1)
 
     def _batch(
-        self, starts: list[bytes], data: tuple[Array, Array], parameters: list[Array], found: Run
+        self,
+        starts: NDArray[np.uint8],
+        data: tuple[Array, Array],
+        parameters: list[Array],
+        found: Run,
     ) -> Batch:
         """What C is given of records and of the places of results."""
         wanted = {name: found[name] for name in found.ports}
         out = [wanted.get(port.name) for port in self.layout.ports]
-        instances = np.frombuffer(bytearray().join(starts), np.uint8).reshape(len(starts), -1)
-        return Batch.of(instances, data, parameters, (out, found.status, found.held))
+        return Batch.of(starts, data, parameters, (out, found.status, found.held))
 
     def _refuse(self, status: int) -> NoReturn:
         found = Status(status)
