@@ -11,6 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # works with and without an installation
 
+import batches  # noqa: E402
 import clock  # noqa: E402
 import files  # noqa: E402
 import memory  # noqa: E402
@@ -34,6 +35,7 @@ PARTS = {
     "rates": rates.rates,
     "families": steps.families,
     "run": records.runs,
+    "batch": batches.batches,
     "step": records.python_steps,
     "startup": startup.waiting,
     "stages": startup.stages,

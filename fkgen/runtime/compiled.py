@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -317,6 +318,10 @@ class CompiledFilter:
 
     def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
         ports = record.kept(self.layout, keep)
+        cells = sum(math.prod(p.shape) * np.dtype(self.layout.dtype_of(p)).itemsize for p in ports)
+        size = math.prod(shape) * (cells + np.dtype(np.int32).itemsize + 1)
+        what = " x ".join(map(str, shape))
+        record.afford("keep", f"{len(ports)} ports of {what} samples: {size / 2**30:.3g} GiB", size)
         values = {
             port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
         }

@@ -165,5 +165,6 @@ def compile_source(source: Source) -> CompiledFilter:
 
     of_type("source", source, Source, "what fkgen.generate returns")
     compiler = find_compiler()
-    key = cache.key_of(source.record, *source.files.values(), compiler.identity)
+    texts = (source.record, source.lanes, *source.files.values())
+    key = cache.key_of(*texts, compiler.identity)
     return CompiledFilter(cache.find(key) or make(key, source, compiler))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jump_plants
 import nonlinear_specs
 import numpy as np
 import pytest
 import sensor_specs
 import spread
+from plants import generated
 from toolchain import C_COMPILERS, needs_compiler, thorough
 
 import fkgen
@@ -49,7 +52,7 @@ def batch(plant, seed=8):
     y = rng.standard_normal((M, T, plant.model.ny))
     y[rng.uniform(size=y.shape) < 0.2] = np.nan
     y[rng.uniform(size=y.shape) < 0.05] = np.inf
-    y[rng.uniform(size=y.shape) < 0.02] = 1e30
+    y[rng.uniform(size=y.shape) < 0.02] = 1e300 if plant.code.scalar == "double" else 1e30
     y[rng.uniform(size=(M, T)) < 0.1] = np.nan
     y[0] = np.where(np.isfinite(y[0]), y[0], 0.5)  # a record with all its rows
     y[:, 3] = 0.25
@@ -78,11 +81,15 @@ def bits(values):
     return np.ascontiguousarray(values).view(np.uint8)
 
 
-def check(plant, monkeypatch):
-    """A batch, and the same records one by one."""
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch):
+    """Lanes for every batch, however small."""
     monkeypatch.setattr(batches, "WORTH", 0)
     monkeypatch.setattr(batches, "WORTH_A_STATEMENT", 0)
-    found = fkgen.build(plant)
+
+
+def check(plant, found):
+    """A batch, and the same records one by one."""
     y, u, params = batch(plant)
     told = {name: values[1] for name, values in params.items()}
     own = starts(plant, found.layout)
@@ -107,8 +114,9 @@ def check(plant, monkeypatch):
         [(name, "float" if i % 3 == 2 else "double") for i, name in enumerate(FEW)],
     ),
 )
-def test_a_batch_has_the_bits_of_its_records(name, scalar, monkeypatch):
-    check(specs(scalar)[name], monkeypatch)
+def test_a_batch_has_the_bits_of_its_records(name, scalar):
+    plant = specs(scalar)[name]
+    check(plant, fkgen.build(plant))
 
 
 @pytest.mark.parametrize("compiler", C_COMPILERS)
@@ -117,4 +125,40 @@ def test_so_it_has_with_any_number_of_lanes(compiler, lanes, monkeypatch):
     plant = specs("double")["imm_product"]
     monkeypatch.setenv("FKGEN_CC", C_COMPILERS[compiler][0])
     monkeypatch.setenv("FKGEN_CFLAGS", f"-O1 -D{plant.name.upper()}_LANES={lanes}")
-    check(plant, monkeypatch)
+    check(plant, fkgen.build(plant))
+
+
+#: Parts of the text over lanes, and what they must not be.
+MUTANTS = {
+    "every lane takes a branch": (
+        "return (N_lane_t)(((N_mask_t)a & mask)",
+        "return a; return (N_lane_t)(((N_mask_t)a & mask)",
+    ),
+    "other lanes take a branch": ("taken0 = present[0];", "taken0 = ~present[0];"),
+    "a refusal is not seen": ("if (bad[l])", "if (0)"),
+    "an infinite result is not seen": ("bad | ~(N_mask_t)((sum - sum) >= 0.0)", "bad"),
+    "all lanes have the record of the first": ("(first + l) : (stop", "first : (stop"),
+}
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_a_mutant_of_the_text_has_other_bits(mutant):
+    plant = specs("double")["kf"]
+    source = generated(plant)
+    old, new = (part.replace("N", plant.name) for part in MUTANTS[mutant])
+    assert old in source.lanes
+    changed = dataclasses.replace(source, lanes=source.lanes.replace(old, new))
+    with pytest.raises(AssertionError, match="Arrays are not equal"):
+        check(plant, fkgen.compile(changed))
+
+
+def test_a_batch_without_lanes_is_filtered_too(monkeypatch):
+    plant = specs("double")["kf"]
+    monkeypatch.setenv("FKGEN_CFLAGS", f"-O1 -D{plant.name.upper()}_LANES=1")
+    found = fkgen.build(plant)
+    y, u, params = batch(plant)
+    run = found.run_batch(y, u, params)
+    assert found._lanes.records is None
+    mine = {name: values[3] for name, values in params.items()}
+    one = found.run(y[3], None if u is None else u[3], mine)
+    np.testing.assert_array_equal(bits(run.filtered_state[3]), bits(one.filtered_state))
