@@ -65,15 +65,15 @@ def batch(plant, seed=8):
 
 
 def starts(plant, layout):
-    """A prior for each record; what is left out is that of the spec."""
+    """A prior for each record; the moments of linear_optimal belong to that of the spec."""
+    if plant.filter.family == "linear_optimal":
+        return None
     rng = np.random.default_rng(3)
     n = len(layout.errors)
     F = rng.standard_normal((M, n, n))
     P0 = F @ F.swapaxes(1, 2)
-    start = {} if layout.attitudes else {"x0": rng.standard_normal((M, n))}
-    if plant.filter.family != "linear_optimal":  # whose moments belong to the P0 of the spec
-        start["P0"] = 0.5 * (P0 + P0.swapaxes(1, 2))
-    return start
+    means = {} if layout.attitudes else {"x0": rng.standard_normal((M, n))}
+    return means | {"P0": 0.5 * (P0 + P0.swapaxes(1, 2))}
 
 
 def bits(values):
