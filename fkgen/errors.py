@@ -99,11 +99,14 @@ class StepRefused(UserError):
         The negative status of the C function.
     name : str
         Its name in the C enum, such as ``DC_MOTOR_INPUT_NOT_FINITE``.
+    reason : str
+        Which equation is not finite, and where, if that is the reason; else empty.
     """
 
-    def __init__(self, status: int, name: str, meaning: str) -> None:
-        self.status, self.name = status, name
-        super().__init__(f"step refused with status {status} ({name}): {meaning}")
+    def __init__(self, status: int, name: str, meaning: str, reason: str = "") -> None:
+        self.status, self.name, self.reason = status, name, reason
+        why = f": {reason}" if reason else ""
+        super().__init__(f"step refused with status {status} ({name}): {meaning}{why}")
 
 
 class ValidationError(InternalError):

@@ -57,5 +57,6 @@ def build(spec: Spec) -> CompiledFilter:
     if ":" in spec.filter.family:  # its code is not fkgen's, so it has no digest here
         return compile(generate(validate(spec)))
     compiler = find_compiler()
-    key = cache.key_of(cache.own_digest(), spec.canonical(), compiler.identity)
+    written = (f"{key} = {text}" for each in spec.equations for key, text in each.written)
+    key = cache.key_of(cache.own_digest(), spec.canonical(), *written, compiler.identity)
     return CompiledFilter(cache.find(key) or make(key, generate(validate(spec)), compiler))

@@ -39,7 +39,7 @@ class Format:
     #: multiples are exact
     ln2: tuple[float, float]
     quarter_pi: tuple[float, float]
-    half_pi: tuple[float, float, float]
+    half_pi: tuple[float, ...]
     #: overflow, underflow: exp of them and beyond is infinite, and 0
     overflow: float
     underflow: float
@@ -187,7 +187,7 @@ FORMATS: dict[Scalar, Format] = {
         asin=(0.16666752, 0.074953094, 0.045469433, 0.024181692, 0.0421664),
         quarter_pi=(_hex("0x1.921fb00000000p-1"), _hex("0x1.5110b40000000p-23")),
         ln2=(_hex("0x1.62E4p-1"), _hex("0x1.7F7D1CF8p-20")),
-        half_pi=(_hex("0x1.92p0"), _hex("0x1.FB4p-12"), _hex("0x1.4442D18p-24")),
+        half_pi=tuple(map(_hex, ("0x1.92p0", "0x1.FAp-12", "0x1.54p-20", "0x1.10b4620000000p-30"))),
         overflow=89.0,
         underflow=-104.0,
     ),
@@ -287,8 +287,10 @@ class Elementary:
             return (x - x) / real(0.0)
         offset, one = real(1.5 * 2.0**f.mantissa), real(1.0)
         k = (x * real(2.0 / math.pi) + offset) - offset
-        high, middle, small = (k * real(part) for part in f.half_pi)
-        near = x - high
+        *exact, middle, small = (k * real(part) for part in f.half_pi)
+        near = x
+        for part in exact:
+            near = near - part
         first = near - middle
         low = ((near - first) - middle) - small
         r = first + low

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import operator as arithmetic
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
+from fkgen.backend.fused.rounding import fma
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
-from fkgen.symbolic.index import Index, value
+from fkgen.symbolic.index import Index, entries, value
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -24,6 +27,9 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.SUB: arithmetic.sub,
     Operator.MUL: arithmetic.mul,
     Operator.DIV: arithmetic.truediv,
+    Operator.FMA: fma,
+    Operator.FMS: lambda a, b, c: fma(a, b, -c),
+    Operator.FNMA: lambda a, b, c: fma(-a, b, c),
     Operator.NEG: arithmetic.neg,
     Operator.ABS: abs,
     Operator.MAX: lambda a, b: max(b, a),
@@ -99,7 +105,10 @@ class Machine:
         return {Element(Space.PARAMETER, name, None): self.real(v) for name, v in values.items()}
 
     def step(
-        self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
+        self,
+        u: Sequence[float] | NDArray[np.floating],
+        y: Sequence[float] | NDArray[np.floating],
+        parameters: Mapping[str, float],
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
@@ -231,6 +240,8 @@ class _Code:
                 return self._condition(node)
             case ir.For():
                 return self._loop(node)
+            case ir.Product() | ir.Triangle():
+                return self._of_matrices(node)
         raise InternalError(f"no execution of {node}")
 
     def _operation(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> _Getter:
@@ -240,6 +251,8 @@ class _Code:
         do, first = machine.arithmetic[operator], gets[0]
         if len(gets) == 1:
             return lambda cells, at: do(first(cells, at))
+        if len(gets) > 2:
+            return lambda cells, at: do(*[get(cells, at) for get in gets])
         second = gets[1]
         return lambda cells, at: do(first(cells, at), second(cells, at))
 
@@ -265,6 +278,52 @@ class _Code:
             else:
                 holds = any(present) if row is None else present[value(row, variables)]
             return body(cells, variables, present) if holds else None
+
+        return run
+
+    def _cells(self, element: Element, at: Mapping[str, Any]) -> NDArray[np.intp]:
+        """The cells of an element for many values of indices."""
+        array = self._cell(replace(element, index=0 if element.moves else element.index))[0]
+        return array + np.broadcast_to(value(element.index or 0, at), at["i"].shape)
+
+    def _of_matrices(self, node: ir.OfMatrices) -> _Statement:
+        return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
+
+    def _triangle(self, node: ir.Triangle) -> _Statement:
+        at = entries(node.size, node.size, lower=True)
+        source, target = self._cells(node.source, at), self._cells(node.target, at)
+        other = self._cells(node.target, {"i": at["j"], "j": at["i"]}) if node.mirrored else target
+
+        def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
+            for a, b, c in zip(source, target, other, strict=True):
+                cells[b] = cells[c] = cells[a]
+            return None
+
+        return run
+
+    def _product(self, node: ir.Product) -> _Statement:
+        at = entries(node.rows, node.columns, lower=node.lower)
+        left, right = (
+            [self._cells(element, {**at, "k": k}) for k in range(node.inner)]
+            for element in (node.left, node.right)
+        )
+        target = self._cells(node.target, at)
+        begin = None if node.start is None else self._cells(node.start, at)
+        multiply, add = (self.machine.arithmetic[each] for each in (Operator.MUL, node.adding))
+        together: Callable[..., Any] = np.frompyfunc(add, 3, 1) if node.fused else add
+
+        def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
+            now = np.array(cells, object)
+            pairs = zip(left, right, strict=True)
+            found = multiply(*(now[each] for each in next(pairs))) if begin is None else now[begin]
+            for a, b in pairs:
+                if node.fused:
+                    found = together(now[a], now[b], found)
+                else:
+                    found = add(found, multiply(now[a], now[b]))
+            for cell, each in zip(target, found, strict=True):
+                cells[cell] = each
+            return None
 
         return run
 

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any, TypeVar
 from typing import Literal as Either
 
-from fkgen.symbolic.index import Index, Whole, names_in, value
+from fkgen.symbolic.index import Index, Whole, names_in, value, variable
 from fkgen.symbolic.interface import VERDICTS, Kind, Outcome, Port, Status
 
 Scalar = Either["double", "float"]
@@ -35,6 +35,10 @@ class Operator(Enum):
     SUB = "-"
     MUL = "*"
     DIV = "/"
+    #: a b + c, a b - c and c - a b, rounded once
+    FMA = "fma"
+    FMS = "fms"
+    FNMA = "fnma"
     NEG = "neg"
     ABS = "abs"
     MAX = "max"
@@ -68,6 +72,10 @@ class Operator(Enum):
 #: Operators that are functions in C.
 FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
+
+
+#: Operators that are a product and a sum in one rounding.
+FUSED = frozenset({Operator.FMA, Operator.FMS, Operator.FNMA})
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +226,72 @@ class For:
 
 
 @dataclass(frozen=True, slots=True)
+class Product:
+    """``target[i, j] = start[i, j] + the sum over k of left[i, k] right[k, j]`` for all i and j.
+
+    Elements are indexed by ``i``, ``j`` and ``k``. Every sum is one chain in ascending order of k,
+    from ``start`` or from its first product; ``less``: products are subtracted; ``lower``: entries
+    on and below the diagonal only; ``fused``: every
+    further product is rounded together with the sum before it.
+    """
+
+    target: Element
+    start: Element | None
+    left: Element
+    right: Element
+    rows: int
+    columns: int
+    inner: int
+    less: bool
+    lower: bool
+    fused: bool = False
+
+    @property
+    def loops(self) -> tuple[For, ...]:
+        """What its indices run over."""
+        columns: Whole = variable("i") + 1 if self.lower else self.columns
+        ends: tuple[tuple[str, Whole], ...] = (("i", self.rows), ("j", columns), ("k", self.inner))
+        return tuple(For(index, 0, end, ()) for index, end in ends)
+
+    @property
+    def terms(self) -> int:
+        """How many products there are."""
+        n = min(self.rows, self.columns)
+        entries = n * (n + 1) // 2 + (self.rows - n) * n
+        return self.inner * (entries if self.lower else self.rows * self.columns)
+
+    @property
+    def operators(self) -> Counter[Operator]:
+        """Its operations."""
+        added = self.terms - (self.terms // self.inner if self.start is None else 0)
+        apart = self.terms - added if self.fused else self.terms
+        return Counter({Operator.MUL: apart, self.adding: added})
+
+    @property
+    def adding(self) -> Operator:
+        """How a product comes to the sum before it."""
+        if self.fused:
+            return Operator.FNMA if self.less else Operator.FMA
+        return Operator.SUB if self.less else Operator.ADD
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle:
+    """``target[i, j] = source[i, j]`` for j <= i < size; ``mirrored``: ``target[j, i]`` as well."""
+
+    target: Element
+    source: Element
+    size: int
+    mirrored: bool
+
+    @property
+    def loops(self) -> tuple[For, ...]:
+        """What its indices run over: both do everywhere where it is mirrored."""
+        columns: Whole = self.size if self.mirrored else variable("i") + 1
+        return For("i", 0, self.size, ()), For("j", 0, columns, ())
+
+
+@dataclass(frozen=True, slots=True)
 class Heading:
     """What the following statements do."""
 
@@ -240,7 +314,8 @@ class Call:
 
 Condition = IfPresent | IfPositive
 Nested = Condition | For
-Statement = Operate | Copy | CopyArray | Assign | Require | Nested | Heading | Call
+OfMatrices = Product | Triangle
+Statement = Operate | Copy | CopyArray | Assign | Require | Nested | OfMatrices | Heading | Call
 Body = tuple[Statement, ...]
 
 
@@ -325,6 +400,7 @@ class Stated:
     ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
     #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()
+    equations: str = ""  # The spec as JSON, where refusals are explained by its f and h
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -369,6 +445,7 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+    fma: bool = False  # Whether it calls fma() of C
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -428,6 +505,11 @@ class CProgram:
         return _flops(self.update, self.predict)
 
     @property
+    def fused(self) -> int:
+        """How many of them are a product and a sum in one."""
+        return sum(n for operator, n in self.operations.items() if operator in FUSED)
+
+    @property
     def statements(self) -> int:
         """The same as they stand in the text, where loops repeat them."""
         nodes = (
@@ -447,6 +529,8 @@ def _operations(*phases: Phase) -> Counter[Operator]:
         for node, times in counted(phase.body):
             if isinstance(node, Operate):
                 found[node.operator] += times
+            elif isinstance(node, Product):
+                found += node.operators
     return found
 
 
@@ -465,6 +549,8 @@ _PARTS: dict[type, tuple[str, ...]] = {
     IfPresent: ("row", "body"),
     IfPositive: ("value", "body"),
     For: ("body",),
+    Product: ("start", "left", "right", "target"),
+    Triangle: ("source", "target"),
     Call: ("arguments", "constants", "tables", "rows"),
     Heading: (),
 }
@@ -523,7 +609,7 @@ def _times(loops: tuple[For, ...], known: Mapping[str, int]) -> int:
 def inside(body: Body, loops: tuple[For, ...] = ()) -> Iterator[tuple[Statement, tuple[For, ...]]]:
     """Every statement, and the loops that it is in, the outermost first."""
     for node in body:
-        yield node, loops
+        yield node, (*loops, *node.loops) if isinstance(node, OfMatrices) else loops
         if isinstance(node, Nested):
             around = (*loops, node) if isinstance(node, For) else loops
             yield from inside(node.body, around)
@@ -570,6 +656,6 @@ def operands(node: Statement) -> list[Operand]:
     """What a statement reads itself (not its body), that of its expressions too."""
     found: list[Operand] = []
     for name in _PARTS[type(node)]:
-        if name in {"arguments", "value", "values", "source"}:
+        if name in {"arguments", "value", "values", "source", "start", "left", "right"}:
             mapped(getattr(node, name), found.append)
     return found

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from fkgen.backend import ir
+from fkgen.backend.fused.products import fused
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
 from fkgen.backend.size.guards import without_implied
@@ -67,25 +68,15 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     """Turn a recursion into the data of a C program, verified."""
     spec = recursion.spec
     model = spec.model
-    lowered: dict[str, Any] = {
-        name: lower_phase(recursion.ports, phase)
-        for name in ("update", "closing", "predict")
-        if (phase := getattr(recursion, name)) is not None
-    }
-    if recursion.start is not None:
-        lowered["start"] = lower_phase(recursion.ports, recursion.start, ("x", "P"))
-    ports = recursion.ports
-    if spec.code.ports is not None:
-        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
-        ports, lowered = selected(ports, lowered, shown)
-    if recursion.prior is not None:
-        lowered["origin"] = lower_phase(prior_ports(model), recursion.prior)
-    lowered = {name: without_implied(phase) for name, phase in lowered.items()}
+    ports, lowered = _phases(recursion)
     names, phases = {port.name for port in ports}, list(lowered.values())
     form: tuple[str, ...] = (
         () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     )
-    if any(True for phase in phases for _ in ir.every(ir.For, phase.body)):
+    nodes = [node for phase in phases for node in ir.walk(phase.body)]
+    if any(isinstance(node, ir.OfMatrices) for node in nodes):
+        form += ("form of the code: loops over whole matrices",)
+    elif any(isinstance(node, ir.For) for node in nodes):
         form += ("form of the code: loops over rows of y, straight lines elsewhere",)
     return verify(
         ir.CProgram(
@@ -105,11 +96,32 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             initial=tuple(sorted((k, v) for k, v in recursion.initial.items() if k in names)),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
+            fma=spec.code.fma,
             stated=stated(spec, phases),
             **lowered,
             **_signals(model),
         )
     )
+
+
+def _phases(recursion: sym.Recursion) -> tuple[tuple[Port, ...], dict[str, Any]]:
+    """The ports that C has, and the phases by the names that `CProgram` has for them."""
+    spec, ports = recursion.spec, recursion.ports
+    lowered = {
+        name: lower_phase(ports, phase)
+        for name in ("update", "closing", "predict")
+        if (phase := getattr(recursion, name)) is not None
+    }
+    if recursion.start is not None:
+        lowered["start"] = lower_phase(ports, recursion.start, ("x", "P"))
+    origin = recursion.prior
+    prior = {} if origin is None else {"origin": lower_phase(prior_ports(spec.model), origin)}
+    if spec.code.fma:
+        lowered, prior = ({k: fused(v) for k, v in each.items()} for each in (lowered, prior))
+    if spec.code.ports is not None:
+        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
+        ports, lowered = selected(ports, lowered, shown)
+    return ports, {name: without_implied(phase) for name, phase in (lowered | prior).items()}
 
 
 def _signals(model: Model) -> dict[str, Any]:
@@ -165,12 +177,16 @@ class _Lowering:
     title: str = ""
     groups: list[_Group] = field(default_factory=list)
 
-    def take(self, block: sym.Block | sym.Loop) -> None:
-        """Append a block or a loop; those in a row under one condition share it."""
+    def take(self, block: sym.Block | sym.Loop | sym.OfMatrices) -> None:
+        """Append a block, loop or product; those in a row under one condition share it."""
         title = f"{block.section}: {block.title}" if block.section else block.title
         if title and title != self.title:
             self.groups.append(_Group(None, block.section, statements=[ir.Heading(title)]))
             self.title = title
+        if isinstance(block, sym.OfMatrices):
+            node = self._product(block) if isinstance(block, sym.Product) else self._triangle(block)
+            self.groups.append(_Group(None, block.section, statements=[node], begins=[0]))
+            return
         last = self.groups[-1] if self.groups else None
         if last is None or last.section != block.section or not _same(last.condition, block.when):
             last = _Group(block.when, block.section)
@@ -186,6 +202,28 @@ class _Lowering:
         for guard, value in zip(block.guards, values[len(block.assign) :], strict=True):
             last.statements.append(ir.Require(tuple(value), guard.kind, guard.status))
         self._store(block, values, last.statements)
+
+    def _product(self, product: sym.Product) -> ir.Product:
+        """A product, whose target is a local."""
+        begin = product.start
+        start = None if begin is None else self._element(begin, 0, read=True)
+        return ir.Product(
+            target=self._element(product.target, 0, read=False),
+            start=start,
+            left=self._element(product.left, 0, read=True),
+            right=self._element(product.right, 0, read=True),
+            rows=product.rows,
+            columns=product.columns,
+            inner=product.inner,
+            less=product.less,
+            lower=product.lower,
+        )
+
+    def _triangle(self, triangle: sym.Triangle) -> ir.Triangle:
+        """A copy of a symmetric matrix to a local."""
+        target = self._element(triangle.target, 0, read=False)
+        source = self._element(triangle.source, 0, read=True)
+        return ir.Triangle(target, source, triangle.size, triangle.mirrored)
 
     def _loop(self, loop: sym.Loop) -> ir.For:
         """A loop with its blocks in groups of their own."""
@@ -388,7 +426,7 @@ def _check_places(name: str, phase: ir.Phase, sizes: Mapping[str, int]) -> None:
                 raise InternalError(f"{name}: {each} is read before it is written")
         if isinstance(node, Operate | Copy):
             home[node.target] = loops
-        if isinstance(node, ir.Assign):
+        if isinstance(node, ir.Assign | ir.OfMatrices):
             begun.add(node.target.name)
         _check_indices(name, node, loops, sizes)
 
@@ -407,7 +445,7 @@ def _check_indices(
                 raise InternalError(f"{name}: two loops over {index}, one in the other")
         case ir.IfPresent(row):
             asked.append(row)
-        case ir.Assign(target) if target.moves:
+        case ir.Assign(target) | ir.Product(target) | ir.Triangle(target) if target.moves:
             elements.append(target)
             asked.append(target.index)
     if unknown := {*names_in(*asked)} - known:

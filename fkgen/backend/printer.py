@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
-from fkgen.errors import UnfitError
-from fkgen.symbolic.index import Index
+from fkgen.errors import InternalError, UnfitError
+from fkgen.symbolic.index import Index, value
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
@@ -38,6 +39,7 @@ class StatementPrinter:
         #: The largest finite number, and the smallest normal one
         kind = "DBL" if scalar == "double" else "FLT"
         self.limit, self.tiny = f"{kind}_MAX", f"{kind}_MIN"
+        self.fma = "fma" if scalar == "double" else "fmaf"
         self.rows = rows
         self.words = -(-rows // _WORD_BITS)  # 32-bit words that one bit per row of y needs
 
@@ -120,7 +122,7 @@ class StatementPrinter:
         """Statements, indented once."""
         return textwrap.indent("\n".join(map(self.statement, body)), "    ")
 
-    def statement(self, node: ir.Statement) -> str:  # noqa: PLR0911 - one per node
+    def statement(self, node: ir.Statement) -> str:  # noqa: C901, PLR0911 - one per node
         """One statement as C."""
         match node:
             case ir.Operate(target, operator, arguments):
@@ -142,6 +144,8 @@ class StatementPrinter:
                 return f"{head}\n{{\n{self.block(body)}\n}}"
             case ir.IfPositive(positive, body):
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
+            case ir.Product() | ir.Triangle():
+                return self._of_matrices(node)
             case ir.Call():
                 return self._call(node)
         return f"\n/* {node.text} */"
@@ -167,12 +171,23 @@ class StatementPrinter:
                 isinstance(first, Expression) and first.operator is operator
             ):
                 text = f"{self._operation(first)} {_INFIX[operator]} {a[1]}"
+            case _ if operator in ir.FUSED:
+                text = self._fused(node)
             case _ if operator in _INFIX:
                 text = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case _:
                 inner = ", ".join(map(self._bare, node.arguments))
                 text = f"{self.elementary}_{operator.value}({inner})"
         return text
+
+    def _fused(self, node: Expression) -> str:
+        """A call of fma(): of a difference one argument has the other sign."""
+        arguments = [self._bare(argument) for argument in node.arguments]
+        turned = {Operator.FNMA: 0, Operator.FMS: 2}.get(node.operator)
+        if turned is not None:
+            text = self.operand(node.arguments[turned])
+            arguments[turned] = text[1:] if text.startswith("-") else f"-{text}"
+        return f"{self.fma}({', '.join(arguments)})"
 
     def _holds(self, condition: ir.Operand) -> str:
         """Test whether a condition, which is 0 or 1, holds."""
@@ -194,6 +209,36 @@ class StatementPrinter:
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
+
+    def _of_matrices(self, node: ir.OfMatrices) -> str:
+        """A call of a function about whole matrices."""
+        return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
+
+    def _triangle(self, node: ir.Triangle) -> str:
+        """A call of one of the two functions between packed symmetric matrices and whole ones."""
+        whole = node.target if node.mirrored else node.source
+        first, second = (
+            self._address(replace(element, index=_first(element)))
+            for element in (node.source, node.target)
+        )
+        name = f"{self.name}_{'unpack' if node.mirrored else 'pack'}"
+        return f"{name}({first}, {second}, {step_of(whole, 'i')}, {node.size});"
+
+    def _product(self, node: ir.Product) -> str:
+        """A call of the function for products; what is read element by element has two strides."""
+        places = ((node.target, "i"), (node.start, "i"), (node.left, "ik"), (node.right, "k"))
+        given = []
+        for element, variables in places:
+            if element is None:
+                given += ["NULL", "0"]
+                continue
+            steps = [step_of(element, variable) for variable in "ijk"]
+            given.append(self._address(replace(element, index=_first(element))))
+            given += [str(steps["ijk".index(variable)]) for variable in variables]
+            if element is not node.left and node.columns > 1 and steps[1] != 1:
+                raise InternalError(f"{self.name}: columns of {element.name} lie apart")
+        sizes = node.rows, node.columns, node.inner, int(node.less), int(node.lower)
+        return f"{self.name}_product({', '.join([*given, *map(str, sizes)])});"
 
     def _call(self, node: ir.Call) -> str:
         routine, needs = self.routines[node.routine], self.needs[node.routine]
@@ -226,7 +271,8 @@ class StatementPrinter:
                 return self.names.get(value) or self.literal(value)
             case Expression(operator):
                 text = self._operation(operand)
-                return text if operator.is_function else f"({text})"
+                called = operator.is_function or operator in ir.FUSED
+                return text if called else f"({text})"
             case Element(space, name, index):
                 place = "" if index is None else f"[{index}]"
                 own = self.members.get(name, name) if space in {Space.SELF, Space.NEXT} else name
@@ -302,6 +348,17 @@ class Printer(StatementPrinter):
             above = combined([f"self->{member}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
+
+
+def _first(element: Element) -> int:
+    """Where an element of a product is for i = j = k = 0."""
+    return int(value(element.index or 0, dict.fromkeys("ijk", 0)))
+
+
+def step_of(element: Element, variable: str) -> int:
+    """How far it moves with an index."""
+    one = {**dict.fromkeys("ijk", 0), variable: 1}
+    return int(value(element.index or 0, one)) - _first(element)
 
 
 def combined(tests: list[str], how: str) -> str:

@@ -14,12 +14,15 @@ from fkgen.backend.ir import (
     CopyArray,
     CProgram,
     Element,
+    OfMatrices,
     Operator,
     Phase,
     Scalar,
     Space,
+    Triangle,
     every,
     read,
+    walk,
 )
 from fkgen.backend.lanes.text import WHOLE, lanes_text
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
@@ -33,6 +36,18 @@ from fkgen.version import API_VERSION, __version__
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
 #: between them costs more than the code.
 INLINED = 2500
+
+#: Targets on which fma() is one instruction, by scalar.
+_FUSING = {
+    "double": "x86-64 with FMA (-mfma, -march=x86-64-v3), AArch64, Cortex-M7 with a unit for double"
+    " (-mfpu=fpv5-d16), RISC-V with D, POWER, s390x",
+    "float": "x86-64 with FMA (-mfma, -march=x86-64-v3), AArch64, Cortex-M4F, M7 and M33 with their"
+    " floating-point units, RISC-V with F, POWER, s390x",
+}
+
+#: Rows of a triangle up to which its loops are written out by the compiler: mispredicted branches
+#: cost more than the copies.
+UNROLLED = 12
 
 _COMMENTS = {
     "correct": "Condition on y[k]",
@@ -74,6 +89,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
+        "fusing": _FUSING[program.scalar],
         "modes": next(modes, 0),
         "cost": cost(program),
         "padded": c.padded,
@@ -98,11 +114,18 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
+        "products": any(isinstance(n, OfMatrices) for body in outlined.bodies for n in walk(body)),
+        "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c, outlined),
         **_selftest(c),
     }
+
+
+def _sizes(outlined: Outline) -> Iterable[int]:
+    """Rows of the symmetric matrices that are packed and unpacked."""
+    return (node.size for body in outlined.bodies for node in every(Triangle, body))
 
 
 def _selftest(c: Printer) -> dict[str, object]:
@@ -303,7 +326,8 @@ def _title(program: CProgram) -> str:
 
 def cost(program: CProgram) -> str:
     """Operations of one step in words."""
-    text = [f"{program.flops} floating-point operations"]
+    joint = f", {program.fused} of them fused multiply-adds" if program.fma else ""
+    text = [f"{program.flops} floating-point operations{joint}"]
     text += [f"{n} {function}" for function, n in _calls(program).items()]
     closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
     return " and ".join(text) + closing
@@ -366,6 +390,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "equations": program.source,
         "proved": list(claims),
         "flops": program.flops,
+        **({"fused": program.fused} if program.fma else {}),
         **({"closing_flops": program.closing_flops} if program.closing else {}),
         "calls": _calls(program),
         "parameters": dict(program.parameters),

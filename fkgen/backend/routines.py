@@ -41,7 +41,7 @@ _FUNCTIONS = {
     *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
     *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *ir.FUNCTIONS,
-    *("reduced", "power_of_two"),
+    *("reduced", "power_of_two", "fused"),
 }
 
 #: Names that an argument or a local of a routine must not have.
@@ -133,7 +133,9 @@ class _Function:
         at = 0
         while at < len(self.blocks):
             chunk = self.blocks[at].statements
-            if len(chunk) > LONGEST and not any(isinstance(n, ir.Nested) for n in chunk):
+            if len(chunk) > LONGEST and not any(
+                isinstance(n, ir.Nested | ir.OfMatrices) for n in chunk
+            ):
                 name = f"carried_{len(self.locals)}"
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
@@ -243,7 +245,7 @@ def _function(verb: str, phase: ir.Phase) -> _Function:
 
 def _apart(chunk: ir.Body) -> list[ir.Body]:
     """What a chunk does several times with other numbers, one after the other."""
-    if any(isinstance(node, ir.Copy | ir.Nested) for node in chunk):
+    if any(isinstance(node, ir.Copy | ir.Nested | ir.OfMatrices) for node in chunk):
         return [chunk]
     written = {node.target for node in ir.every(ir.Assign, chunk)}
     computed = (o for node in ir.every(ir.Operate, chunk) for o in node.arguments)

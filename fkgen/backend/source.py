@@ -217,7 +217,12 @@ def _summary(entries: list[Entry], *, build_file: bool) -> dict[str, str]:
     named = {each["name"]: each | {"files": _plain(each["files"])} for each in entries}
     filters = [{k: v for k, v in named[name].items() if k != "generator"} for name in sorted(named)]
     units = {each["name"]: [f for f in each["files"] if _is_unit(f, each)] for each in filters}
-    build = {BUILD: filled("CMakeLists.txt.j2", {"filters": units})} if build_file else {}
+    fused = [each["name"] for each in filters if "fused" in each]  # they need libm
+    build = (
+        {BUILD: filled("CMakeLists.txt.j2", {"filters": units, "fused": fused})}
+        if build_file
+        else {}
+    )
     digests = {name: _digest(text) for name, text in build.items()}
     several: Entry = {"filters": filters, "files": digests}
     one = filters[0] | {"files": dict(sorted((filters[0]["files"] | digests).items()))}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,19 +16,26 @@ from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Model, Parameter
-from fkgen.problem.equations import ABSENT, Equations, Increment
-from fkgen.problem.functions.named import coordinates
+from fkgen.problem.equations import ABSENT, Equations
+from fkgen.problem.functions.writing import statements
 from fkgen.problem.probability import FirstLaw
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
+from fkgen.symbolic.linalg import FOLDED
 
 #: Units of the entries of each matrix.
 _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
 _UNITS |= {"x0": "x", "P0": "xx", "c": "x", "d": "y", "S": "x/y"}
 #: Widest matrix whose entries stand below each other.
 _ALIGNED = 80
+
+#: What equations mean by products with an attitude q.
+_ROTATIONS = (
+    "q * v: q turned by the rotation vector v, in body axes; rotate(q, v): v from body to world"
+    " axes, rotate_back(q, v): from world to body axes"
+)
 
 #: A title, and matrices as lines of a comment.
 _Part = tuple[str, Iterable[list[str]]]
@@ -47,7 +55,15 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
         ),
         ranges=tuple((item.name, _range(spec, item)) for item in spec.parameters),
         folded=_folded(spec, phases),
+        equations=_for_refusals(spec),
     )
+
+
+def _for_refusals(spec: Spec) -> str:
+    """What it takes to say which equation has no value, and in whose words."""
+    if not spec.equations:
+        return ""
+    return json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]})
 
 
 def _equations(spec: Spec, equations: Equations) -> _Part:
@@ -55,29 +71,27 @@ def _equations(spec: Spec, equations: Equations) -> _Part:
     model = spec.model
     time = "dx/dt = f" if equations.continuous else "x[k+1] = f"
     title = f"Model: {time}(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R)"
-    lines = [f"{name} = {to_text(tree)}" for name, tree in equations.let]
-    for name, motion in zip(_moving(model, equations), equations.f, strict=True):
-        if isinstance(motion, Increment):
-            text = f"{name} * [{', '.join(map(to_text, motion.by))}]"
-        else:
-            text = to_text(motion)
-        if equations.continuous or text != name:  # else it stays as it is
-            lines.append(f"f: {name} = {text}")
-    rows = zip(model.outputs, equations.h, strict=True)
-    lines += [f"h: {signal.name} = {to_text(tree)}" for signal, tree in rows]
+    lines = [each.line for each in statements(equations, model.states, model.outputs)]
     lines += [f"w: {noise.name} ~ (0, {to_text(noise.variance)})" for noise in equations.noises]
-    listings = [[*wrapped(line, " *   ", " *       ")] for line in lines]
+    lines += [_ROTATIONS] if equations.attitudes else []
     letters = ("Q", "R", "x0", "P0") if model.S.is_zero else ("Q", "R", "S", "x0", "P0")
-    return title, [*listings, *(_matrix(spec, x, getattr(model, x)) for x in letters)]
+    matrices = (_matrix(spec, x, getattr(model, x)) for x in letters)
+    return title, [*map(_equation, lines), *matrices]
 
 
-def _moving(model: Model, equations: Equations) -> Iterator[str]:
-    """What each entry of f is about: an attitude that turns by an increment has one."""
-    turning, at = equations.turning, 0
-    for signal in model.states:
-        parts = coordinates(signal)
-        yield from (signal.name,) if at in turning else parts
-        at += len(parts)
+def _equation(line: str) -> list[str]:
+    return wrapped(line, " *   ", " *       ")
+
+
+def _own_equations(model: Model, mode: Mode) -> list[list[str]]:
+    """The equations of a mode that are not the model's."""
+    own, base = (
+        [] if each is None else statements(each, model.states, model.outputs)
+        for each in (mode.equations, model.equations)
+    )
+    known = [(each.name, each.trees, each.hidden) for each in base]
+    changed = (each for each in own if (each.name, each.trees, each.hidden) not in known)
+    return [_equation(each.line) for each in changed]
 
 
 def _model(spec: Spec) -> _Part:
@@ -111,8 +125,9 @@ def _modes(spec: Spec) -> Iterator[_Part]:
         own = {letter: getattr(mode, letter) for letter in LETTERS}
         own = {letter: matrix for letter, matrix in own.items() if matrix != ABSENT}
         own = {name: matrix for name, matrix in own.items() if matrix != getattr(spec.model, name)}
-        title = f"Mode {index}: {'what differs' if own else 'the model itself'}"
-        yield title, [_matrix(spec, name, matrix) for name, matrix in own.items()]
+        listings = _own_equations(spec.model, mode)
+        listings += [_matrix(spec, name, matrix) for name, matrix in own.items()]
+        yield f"Mode {index}: {'what differs' if listings else 'the model itself'}", listings
 
 
 def _matrix(spec: Spec, name: str, matrix: Matrix) -> list[str]:
@@ -318,12 +333,18 @@ def _folded(spec: Spec, phases: Sequence[Phase]) -> tuple[tuple[float, str], ...
     known: dict[float, str] = {}
     for index, plant in enumerate(spec.plants):
         of = f" of mode {index}" if len(spec.plants) > 1 else ""
-        for letter in "ABC" if plant.equations is None else "":
+        folded = [x for x in "ABC" if plant.equations is None and _width(plant, x) <= FOLDED]
+        for letter in folded:
             for value, text in _coefficients(letter, getattr(plant, letter)):
                 known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
     used = {abs(value) for value in _read(phases)}
     stated = {0.0, 0.5, 1.0, 2.0} | {abs(value) for value in _numbers_in(spec.to_dict())}
     return tuple((value, known[value]) for value in sorted(used & known.keys() - stated))
+
+
+def _width(plant: Model | Mode, letter: str) -> int:
+    """Columns of a matrix."""
+    return max(map(len, getattr(plant, letter).rows), default=0)
 
 
 def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:

@@ -12,8 +12,8 @@ from typing import Any, Literal, get_args
 from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
 from fkgen.problem.equations import ABSENCE
 from fkgen.problem.functions import affine, modes
+from fkgen.problem.functions.finite import check_start
 from fkgen.problem.functions.named import Named
-from fkgen.problem.functions.start import check_start
 from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,

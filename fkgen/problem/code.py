@@ -11,6 +11,7 @@ from fkgen.problem.table.section import Section, as_list
 Scalar = Literal["double", "float"]
 Update = Literal["auto", "short", "joseph"]
 Copies = Literal["static", "shared"]
+CodeForm = Literal["auto", "straight", "loops"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +24,10 @@ class Code:
     #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
     #: files beside it, the same for all filters of one program
     elementary: Copies = "static"
+    #: Whether products are rounded together with the sum they go into, by fma() of C
+    fma: bool = False
+    #: Straight lines, loops over whole matrices, or "auto": whichever is better at each place
+    form: CodeForm = "auto"
     #: The ports that C shows besides those that the recursion needs; all of them if None
     ports: tuple[str, ...] | None = None
 
@@ -30,6 +35,8 @@ class Code:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
         table |= {} if self.elementary == "static" else {"elementary": self.elementary}
+        table |= {"fma": True} if self.fma else {}
+        table |= {} if self.form == "auto" else {"form": self.form}
         return table if self.ports is None else table | {"ports": list(self.ports)}
 
     def shows(self, port: str) -> bool:
@@ -39,11 +46,14 @@ class Code:
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    section = Section(table, place, known=("scalar", "update", "elementary", "ports"))
+    known = ("scalar", "update", "elementary", "form", "fma", "ports")
+    section = Section(table, place, known=known)
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
         update=section.choice("update", get_args(Update), "auto"),
         elementary=section.choice("elementary", get_args(Copies), "static"),
+        fma=section.flag("fma", default=False),
+        form=section.choice("form", get_args(CodeForm), "auto"),
         ports=_read_ports(section) if "ports" in section else None,
     )
 

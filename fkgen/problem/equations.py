@@ -9,7 +9,7 @@ what several of them need is said once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -75,6 +75,8 @@ class Equations:
     integrator: Integrator = "rk4"
     substeps: int = 1
     period: Expression | None = None  # from sample to sample, where time is continuous
+    #: What was given as a text, by its key, such as ("h.range", "hypot(x, y)"); for readers alone
+    written: tuple[tuple[str, str], ...] = field(default=(), compare=False)
     apart: ClassVar[bool] = True  # its trees name states, so they are no expressions of a spec
 
     @property
@@ -166,17 +168,28 @@ class Equations:
         w: Sequence[Any],
         parameters: Mapping[str, Any],
         arithmetic: Arithmetic | None = None,
+        *,
+        passed: Callable[[tuple[Any, ...]], object] | None = None,
     ) -> tuple[Any, ...]:
-        """The state one sample later, without the additive noise."""
+        """The state one sample later, without the additive noise.
+
+        ``passed`` is called with every state at which f is evaluated on the way.
+        """
         own = arithmetic or ARRAYS
+
+        def stated(at: tuple[Any, ...]) -> tuple[Any, ...]:
+            if passed is not None:
+                passed(at)
+            return self.stated(at, u, w, parameters, own)
+
+        state = tuple(x)
         if self.period is None:
-            return self._applied(x, self.stated(x, u, w, parameters, own), 1.0, own)
-        duration = _value(self.period, parameters, own)
-        step, state = duration / float(self.substeps), tuple(x)
+            return self._applied(state, stated(state), 1.0, own)
+        step = _value(self.period, parameters, own) / float(self.substeps)
         for _ in range(self.substeps):
-            rates = self.stated(state, u, w, parameters, own)
+            rates = stated(state)
             if self.integrator == "rk4":
-                rates = self._averaged(state, rates, (u, w, parameters), step, own)
+                rates = self._averaged(state, rates, stated, step, own)
             state = self._applied(state, rates, step, own)
         return state
 
@@ -184,14 +197,14 @@ class Equations:
         self,
         x: tuple[Any, ...],
         first: tuple[Any, ...],
-        given: tuple[Sequence[Any], Sequence[Any], Mapping[str, Any]],
+        stated: Callable[[tuple[Any, ...]], tuple[Any, ...]],
         step: Any,
         own: Arithmetic,
     ) -> tuple[Any, ...]:
         """(k1 + 2 k2 + 2 k3 + k4) / 6 of Runge and Kutta."""
-        second = self.stated(self._applied(x, first, step * 0.5, own), *given, own)
-        third = self.stated(self._applied(x, second, step * 0.5, own), *given, own)
-        fourth = self.stated(self._applied(x, third, step, own), *given, own)
+        second = stated(self._applied(x, first, step * 0.5, own))
+        third = stated(self._applied(x, second, step * 0.5, own))
+        fourth = stated(self._applied(x, third, step, own))
         slopes = zip(first, second, third, fourth, strict=True)
         return tuple((a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in slopes)
 

@@ -13,6 +13,7 @@ from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.equations import ABSENCE, Equations
 from fkgen.problem.finding import Finding
 from fkgen.problem.functions.affine import linear_plant
+from fkgen.problem.functions.finite import check_start
 from fkgen.problem.functions.named import read_named, read_start
 from fkgen.problem.functions.reading import (
     KEYS,
@@ -21,7 +22,6 @@ from fkgen.problem.functions.reading import (
     read_equations,
     read_timing,
 )
-from fkgen.problem.functions.start import check_start
 from fkgen.problem.signals import Signal, read_signals
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite

@@ -75,7 +75,7 @@ def _compile(compiler: Chosen, folder: Path, *, statements: int) -> str:
     files = sorted(str(path) for path in folder.glob("*.c"))
     optimisation = "-O2" if statements <= LARGE else "-O1"
     done = _execute(
-        [*compiler.command, *STRICT, optimisation, *files, "-o", str(folder / "selftest")]
+        [*compiler.command, *STRICT, optimisation, *files, "-lm", "-o", str(folder / "selftest")]
     )
     if done.returncode == 0:
         return ""

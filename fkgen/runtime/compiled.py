@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,8 +27,20 @@ Array = NDArray[np.floating]
 
 _NUMBERS = frozenset((float, int))
 
+#: Refusals of which equations may be the reason.
+_EXPLAINED = frozenset((Status.RESULT_NOT_FINITE, Status.NOT_POSITIVE_DEFINITE))
+
 #: Samples that one thread filters at a stretch.
 BLOCK = 50_000
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """A record in pieces."""
+
+    filter: Callable[[ArrayLike, ArrayLike | None, Mapping[str, ArrayLike] | None], Run]
+    #: Which equation is why sample k of the latest piece was refused; empty if none is
+    reason: Callable[[int], str]
 
 
 class CompiledFilter:
@@ -126,9 +140,10 @@ class CompiledFilter:
         self._filter(self._starts(start, given), (measured, driven), given, found)
         return found
 
-    def pieces(self, keep: Sequence[str] | None = None) -> Callable[..., Run]:
-        """A function of (y, u, params) that filters a record piece by piece, as `run` the whole."""
+    def pieces(self, keep: Sequence[str] | None = None) -> Pieces:
+        """What filters a record piece by piece, as `run` the whole of it."""
         latest: list[NDArray[np.uint8]] = []
+        before: list[Any] = []
 
         def piece(y: ArrayLike, u: ArrayLike | None, params: Mapping[str, ArrayLike] | None) -> Run:
             measured = record.measurements(self.layout, y)
@@ -137,10 +152,27 @@ class CompiledFilter:
             found = self._room((len(measured),), keep)
             if not latest:
                 latest.append(self._starts(None, given))
+            before[:] = latest[0].copy(), (measured, driven), given, found.status
             self._filter(latest[0], (measured, driven), given, found)
             return found
 
-        return piece
+        def reason(k: int) -> str:
+            start, (y, u), given, status = before
+            if Status(int(status[k])) not in _EXPLAINED:
+                return ""
+            earlier = [values[:k] if values.size > 1 else values for values in given]
+            self._filter(start, (y[:k], u[:k]), earlier, self._room((k,), ()))
+            now = (float(values[k if values.size > 1 else 0]) for values in given)
+            names = (name for name, _ in self.layout.parameters)
+            other = copy(self)
+            other.restore(Snapshot(self.layout, bytes(start[0]), 0))
+            try:
+                other.step(y[k], u[k] if self._driven else None, dict(zip(names, now, strict=True)))
+            except StepRefused as refused:
+                return refused.reason
+            return ""
+
+        return Pieces(piece, reason)
 
     def run_batch(
         self,
@@ -215,7 +247,9 @@ class CompiledFilter:
         if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
         status = self._step(self._call)
-        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
+        if status >= 0:
+            return Snapshot(self.layout, self._image(), status)
+        return self._refuse(status, "hf")
 
     def update(
         self,
@@ -232,7 +266,9 @@ class CompiledFilter:
         if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
         status = self._update(self._call)
-        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
+        if status >= 0:
+            return Snapshot(self.layout, self._image(), status)
+        return self._refuse(status, "h")
 
     def predict(
         self, u: ArrayLike | None = None, params: Mapping[str, float] | None = None
@@ -244,7 +280,9 @@ class CompiledFilter:
         if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
         status = self._predict(self._call)
-        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
+        if status >= 0:
+            return Snapshot(self.layout, self._image(), status)
+        return self._refuse(status, "f")
 
     def reset(
         self,
@@ -381,9 +419,26 @@ class CompiledFilter:
         out = [wanted.get(port.name) for port in self.layout.ports]
         return Batch.of(starts, data, parameters, (out, found.status, found.held))
 
-    def _refuse(self, status: int) -> NoReturn:
-        found = Status(status)
-        raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
+    def _refuse(self, status: int, parts: str = "") -> NoReturn:
+        found, reason = Status(status), self._reason(status, parts)
+        raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning, reason)
+
+    def _reason(self, status: int, parts: str) -> str:
+        """Which equation is why the last call was refused, which was about "h", "f" or both."""
+        path, at = self.folder / cache.EQUATIONS, self.snapshot()
+        if Status(status) not in _EXPLAINED or not path.is_file():
+            return ""
+        from fkgen.runtime.refusals import reason  # noqa: PLC0415 - needed for refusals alone
+
+        given = list(self._u), list(self._parameters)
+        if "h" in parts and (found := reason(path, at, "h", *given)):
+            return found
+        if "h" in parts and "f" in parts:  # it is about f only if y was taken in before
+            instance = self._type.from_buffer_copy(at.data)
+            if self._update(ctypes.byref(self._given(instance, self._parameters))) < 0:
+                return ""
+            at = Snapshot(self.layout, bytes(instance), 0)
+        return reason(path, at, "f", *given) if "f" in parts else ""
 
     def _drive(self, u: ArrayLike | None, params: Mapping[str, float] | None) -> None:
         """Put inputs and parameters where C reads them."""

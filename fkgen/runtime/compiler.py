@@ -89,7 +89,7 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, statement
 
 
 def _compile(compiler: Compiler, flags: tuple[str, ...], source: Path, library: Path) -> None:
-    command = [*compiler.command, *flags, str(source), "-o", str(library)]
+    command = [*compiler.command, *flags, str(source), "-lm", "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -107,6 +107,7 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     layout = layout_of(program, source.claims)
     texts = {**source.files, f"{program.name}_record.c": source.record}
     texts |= {f"{program.name}_lanes.c": source.lanes} if source.lanes else {}
+    texts |= {cache.EQUATIONS: text} if (text := program.stated.equations) else {}
     return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
 
 

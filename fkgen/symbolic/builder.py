@@ -13,7 +13,17 @@ from fkgen.errors import InternalError
 from fkgen.symbolic.index import At, Index, Target, Whole, name_of, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column
-from fkgen.symbolic.recursion import Block, Condition, Guard, Loop, Phase, Variable
+from fkgen.symbolic.recursion import (
+    Block,
+    Condition,
+    Guard,
+    Loop,
+    OfMatrices,
+    Phase,
+    Product,
+    Triangle,
+    Variable,
+)
 
 
 class PhaseBuilder:
@@ -26,7 +36,7 @@ class PhaseBuilder:
             e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)
         }
         self._variables: list[Variable] = []
-        self._blocks: list[Block | Loop] = []
+        self._blocks: list[Block | Loop | OfMatrices] = []
         self._condition: Condition | None = None
         self._titles: list[str] = []
 
@@ -65,6 +75,33 @@ class PhaseBuilder:
         outer.append(Loop(title, index, begin, end, body, condition, section=section))
         self._blocks, self._condition = outer, condition
 
+    def product(
+        self,
+        target: At,
+        factors: tuple[At, At],
+        sizes: tuple[int, int, int],
+        start: At | None = None,
+        *,
+        less: bool = False,
+        lower: bool = False,
+    ) -> None:
+        """Append target := start + left right; ``sizes`` are its rows, columns and what is summed.
+
+        Places are indices of the variables i, j and k, as in `Product`.
+        """
+        *above, title = self._titles or [""]
+        section = "; ".join(above)
+        self._blocks.append(
+            Product(title, target, *factors, start, *sizes, less, lower, section=section)
+        )
+
+    def triangle(self, target: At, source: At, size: int, *, mirrored: bool) -> None:
+        """Append a copy of the lower triangle of a symmetric matrix, or of all of it."""
+        *above, title = self._titles or [""]
+        self._blocks.append(
+            Triangle(title, target, source, size, mirrored, section="; ".join(above))
+        )
+
     def at(self, name: str, index: Whole) -> ca.SX:
         """The element of a variable that an index leads to, as a symbol."""
         if isinstance(index, int):
@@ -76,19 +113,35 @@ class PhaseBuilder:
             self._owner[symbol.element_hash()] = place
         return self._symbols[place]
 
-    def array(self, name: str, value: ca.SX) -> str:
-        """The variable that a column is, for loops to read it, or a new one with its values."""
+    def has(self, name: str) -> bool:
+        """Whether a variable or port of this name is declared."""
+        return name in self._symbols
+
+    def owner_of(self, value: ca.SX) -> str | None:
+        """The variable that a column is, if it is one."""
         owner = self._owner.get(value[0].element_hash())
-        if isinstance(owner, str) and ca.is_equal(self._symbols[owner], value, 1):
+        if not isinstance(owner, str) or self._symbols[owner].shape != value.shape:
+            return None
+        return owner if ca.is_equal(self._symbols[owner], value, 1) else None
+
+    def array(self, name: str, value: ca.SX) -> str:
+        """The variable that a column is, for loops to read it, or one with its values."""
+        owner = self.owner_of(value)
+        if owner is not None:
             return owner
-        self.local(name, value.numel())
+        if not self.has(name):
+            self.local(name, value.numel())
         self.assign({name: value})
         return name
 
-    def table(self, name: str, values: Sequence[float]) -> None:
-        """Declare an array of constants that loops read."""
+    def table(self, name: str, values: Sequence[float]) -> str:
+        """Declare an array of constants that loops read, or name the one that has them already."""
+        for known in self._variables:
+            if known.values == tuple(values):
+                return known.name
         self.local(name, len(values))
         self._variables[-1] = replace(self._variables[-1], values=tuple(values))
+        return name
 
     def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
         """Declare a variable of this phase and return its symbol."""
@@ -179,11 +232,16 @@ class PhaseBuilder:
         symbols = {k: v for k, v in self._symbols.items() if name_of(k) not in dead}
         return Phase(blocks, variables, symbols, unless)
 
-    def _live(self, blocks: Sequence[Block | Loop], live: set[str]) -> tuple[Block | Loop, ...]:
+    def _live(self, blocks: Sequence[Any], live: set[str]) -> tuple[Any, ...]:
         """The blocks that compute what is ``live`` after them; then it is what is before them."""
         local = {variable.name for variable in self._variables}
-        found: list[Block | Loop] = []
+        found: list[Any] = []
         for block in reversed(blocks):
+            if isinstance(block, OfMatrices):
+                if block.target.name in live or block.target.name not in local:
+                    found.append(block)
+                    live |= set(block.reads)
+                continue
             values = (
                 [] if block.when is None or block.when.positive is None else [block.when.positive]
             )

@@ -10,6 +10,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fkgen.errors import InternalError
 
 
@@ -103,6 +106,12 @@ def triangle_of(index: Whole) -> Whole:
 def packed(i: Whole, j: Whole) -> Whole:
     """Where entry (i, j), j <= i, of a symmetric matrix is, its lower triangle stored by rows."""
     return triangle_of(i) + j
+
+
+def entries(rows: int, columns: int, *, lower: bool) -> dict[str, NDArray[np.intp]]:
+    """Rows i and columns j of the entries of a matrix, or of those on and below its diagonal."""
+    i, j = np.tril_indices(rows, 0, columns) if lower else np.indices((rows, columns))
+    return {"i": i.ravel(), "j": j.ravel()}
 
 
 def value(index: Whole, variables: Mapping[str, Any]) -> Any:

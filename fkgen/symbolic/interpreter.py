@@ -17,10 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.symbolic.index import At, Target, Whole, name_of, value
+from fkgen.symbolic.index import At, Target, Whole, entries, name_of, value
 from fkgen.symbolic.interface import Kind
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.recursion import Block, Condition, Loop, Phase, Recursion
+from fkgen.symbolic.recursion import (
+    Block,
+    Condition,
+    Loop,
+    OfMatrices,
+    Phase,
+    Product,
+    Recursion,
+    Triangle,
+)
 
 Array = NDArray[np.float64]
 
@@ -100,11 +109,15 @@ class Interpreter:
         return {name: np.array(value) for name, value in rows.items()}
 
 
-def _prepared(block: Block | Loop, phase: Phase) -> Callable[[dict[str, Array]], bool]:
+def _prepared(block: Block | Loop | OfMatrices, phase: Phase) -> Callable[[dict[str, Array]], bool]:
     """What runs a block or a loop on values; False if a guard refuses."""
     if isinstance(block, Loop):
         nest = _Nest(block, phase)
         return lambda values: nest.run(values, {})
+    if isinstance(block, Product):
+        return lambda values: _multiply(block, values)
+    if isinstance(block, Triangle):
+        return lambda values: _copy(block, values)
     function, threshold = block.function(phase.symbols), block.threshold(phase.symbols)
     return lambda values: _evaluate(block, function, threshold, values)
 
@@ -124,6 +137,37 @@ def _evaluate(
         return False
     for target, found in zip(block.assign, arrays, strict=False):
         _put(target, found[0] if isinstance(target, At) else found, values, {})
+    return True
+
+
+def _multiply(product: Product, values: dict[str, Array]) -> bool:
+    """Every entry as one chain, all of them side by side."""
+
+    def places(place: At, k: int = 0) -> Any:
+        return value(place.index, {**at, "k": k})
+
+    at = entries(product.rows, product.columns, lower=product.lower)
+    names = product.left, product.right
+    terms = (
+        operator.mul(*(values[each.name][places(each, k)] for each in names))
+        for k in range(product.inner)
+    )
+    begin = product.start
+    found = next(terms) if begin is None else values[begin.name][places(begin)]
+    for term in terms:
+        found = found - term if product.less else found + term
+    values[product.target.name][places(product.target)] = found
+    return True
+
+
+def _copy(triangle: Triangle, values: dict[str, Array]) -> bool:
+    """The entries on and below the diagonal, then those above it."""
+    at = entries(triangle.size, triangle.size, lower=True)
+    source, target = triangle.source, triangle.target
+    found = values[source.name][value(source.index, at)]
+    values[target.name][value(target.index, at)] = found
+    if triangle.mirrored:
+        values[target.name][value(target.index, {"i": at["j"], "j": at["i"]})] = found
     return True
 
 

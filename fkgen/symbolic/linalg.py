@@ -16,6 +16,9 @@ from fkgen.symbolic.interface import triangle
 
 TURN = 2.0 * math.pi
 
+#: Up to so many states coefficients of products are folded into one constant, see `congruence`.
+FOLDED = 3
+
 
 def column(values: list[ca.SX]) -> ca.SX:
     """Stack scalars into a dense column."""
@@ -79,13 +82,14 @@ def outer_lower(a: ca.SX, b: ca.SX) -> ca.SX:
 def congruence(M: ca.SX, P: ca.SX) -> ca.SX:
     """Packed ``M P M'`` for symmetric P; only the lower triangle is computed.
 
-    Up to three states there is a second way, the sum over the distinct entries of P with products
-    of M as coefficients, which wins when M is constant. The one with fewer operations is returned.
+    Up to `FOLDED` states there is a second way, the sum over the distinct entries of P with
+    products of M as coefficients, which wins when M is constant. The one with fewer operations is
+    returned.
     """
     T = M @ P
     rows = M.shape[0]
     by_products = column([ca.mtimes(T[i, :], M[j, :].T) for i, j in triangle(rows)])
-    if P.shape[0] > 3:
+    if P.shape[0] > FOLDED:
         return by_products
     by_entries = column([_quadratic(M[i, :], P, M[j, :]) for i, j in triangle(rows)])
     return min(by_products, by_entries, key=operations)

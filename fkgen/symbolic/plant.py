@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.errors import SpecError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Matrix, Model, Spec
+from fkgen.problem.code import CodeForm
 from fkgen.problem.covariance import is_singular
 from fkgen.symbolic.lifting.equations import Lifted, lift_equations
 from fkgen.symbolic.lifting.expressions import Wholes, lift, lift_expression
@@ -19,6 +21,13 @@ from fkgen.symbolic.linalg import sparse
 
 #: What of a plant with f and h is about f.
 MOTION = ("moved", "A", "B", "G", "variances", "moved_by")
+
+#: States from which on loops over whole matrices are faster than straight lines, if A has few zeros
+#: and if it has many: more than so many entries for each that is none.
+DENSE_STATES, SPARSE_STATES, SPARSE = 8, 20, 2.5
+
+#: Operations that may stand in a row; a compiler gets through so many in a second.
+STRAIGHT_OPERATIONS, COMPILED_PER_SECOND = 4000, 2500
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
@@ -41,6 +50,8 @@ class Plant:
     limits: tuple[ca.SX, ...] = ()  # What must not be negative where A, B, c and Q are computed
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
+    #: Of the C code: "straight", "loops" over whole matrices, or "auto" where only rows may be many
+    code_form: CodeForm
     shows_variance: bool  # The covariance of the innovation is shown
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
@@ -99,10 +110,33 @@ def plant_of(spec: Spec) -> Plant:
         limits=tuple(wholes.limits),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
+        code_form=_code_form(spec, matrices["A"] if lifted is None else lifted.A),
         shows_variance=spec.code.shows("innovation_covariance"),
         noise_free=_is_noise_free(model.R),
         wide=_is_wide(model.R) or _is_wide(model.P0),
     )
+
+
+def _code_form(spec: Spec, A: ca.SX) -> CodeForm:
+    """Straight lines or loops: what the spec asks for, or what suits the size of the plant."""
+    n, p, entries = A.shape[0], spec.model.ny, A.nnz()
+    form = spec.code.form
+    rows = p * (4 * n + n * (n + 1))
+    operations = (2 * entries * n + entries * (n + 1) + rows) * len(spec.plants)
+    if form == "auto":
+        dense = n * n <= SPARSE * entries
+        many = n >= (DENSE_STATES if dense else SPARSE_STATES)
+        return "loops" if many or operations > STRAIGHT_OPERATIONS else "auto"
+    if form == "straight" and operations > STRAIGHT_OPERATIONS:
+        seconds = max(2, round(operations / COMPILED_PER_SECOND))
+        raise SpecError(
+            "code.form",
+            given=f'"straight" for {n} states and {p} rows of y: about {operations} operations '
+            f"in a row, which a compiler needs about {seconds} s for",
+            expected=f'at most {STRAIGHT_OPERATIONS}; or form = "auto" or "loops"',
+            file=spec.file,
+        )
+    return form
 
 
 def _lifted(

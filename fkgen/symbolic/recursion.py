@@ -3,8 +3,9 @@
 A block assigns variables, or elements of them, all at once, from the values that the variables have
 when the block begins. A conditional block runs only when its row of ``y`` is present, or a value
 positive. A loop runs blocks and loops for every value of an index between constant bounds, or those
-of the loops around it. That is all the control flow there is inside a phase, so a block is one
-CasADi function, and a phase is C with a few branches, in straight lines where nothing grows large.
+of the loops around it. A product of matrices is one statement, whatever their size. That is all the
+control flow there is inside a phase, so a block is one CasADi function, and a phase is C with a few
+branches, in straight lines where nothing grows large.
 Work that most samples do without is a phase of its own.
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -104,7 +105,7 @@ class Loop:
     index: str
     begin: Whole
     end: Whole
-    body: tuple[Block | Loop, ...]
+    body: tuple[Any, ...]  # of blocks and loops
     when: Condition | None = None
     reads: tuple[Target, ...] = ()
     section: str = ""
@@ -135,13 +136,66 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
+class Product:
+    """target[i, j] := start[i, j] + the sum over k of left[i, k] right[k, j], for all i and j.
+
+    Places are indices of ``i``, ``j`` and ``k``. Every sum is one chain in ascending order of k; it
+    begins with ``start``, or with its first product if there is none. With ``less``, which takes a
+    start, products are subtracted; with ``lower`` entries above the diagonal are left as they are.
+    The target is no part of what is read.
+    """
+
+    title: str
+    target: At
+    left: At
+    right: At
+    start: At | None
+    rows: int
+    columns: int
+    inner: int
+    less: bool = False
+    lower: bool = False
+    section: str = ""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The variables that it reads."""
+        places = (self.left, self.right, *([self.start] if self.start else []))
+        return tuple(dict.fromkeys(place.name for place in places))
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle:
+    """target[i, j] := source[i, j] for j <= i < size; ``mirrored``: target[j, i] as well.
+
+    Places are indices of ``i`` and ``j``. Source and target are different variables.
+    """
+
+    title: str
+    target: At
+    source: At
+    size: int
+    mirrored: bool
+    section: str = ""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The variable that it reads."""
+        return (self.source.name,)
+
+
+#: Statements about whole matrices, which stand in no loop and under no condition.
+OfMatrices = Product | Triangle
+
+
+@dataclass(frozen=True, slots=True)
 class Phase:
     """Blocks in order, and the locals that they use.
 
     With ``unless`` the phase is left out while the port of this name, a scalar, is positive.
     """
 
-    blocks: tuple[Block | Loop, ...]
+    blocks: tuple[Block | Loop | OfMatrices, ...]
     variables: tuple[Variable, ...]
     symbols: Mapping[Target, ca.SX]
     unless: str | None = None
@@ -312,8 +366,8 @@ def _evaluated(
     """What a phase without conditions and loops assigns."""
     values: dict[Target, ca.DM] = {name: ca.DM(list(value)) for name, value in given.items()}
     for block in phase.blocks:
-        if isinstance(block, Loop):
-            raise InternalError("start values do not come from loops")
+        if not isinstance(block, Block):
+            raise InternalError("start values do not come from loops and products")
         found = block.function(phase.symbols).call([values[name] for name in block.reads])
         values |= dict(zip(block.assign, found, strict=False))
     local = {variable.name for variable in phase.variables}
@@ -335,8 +389,11 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
                 found += [value[i] for i in at]
         return found
 
-    def guarded(block: Block | Loop, *, once: bool) -> Block | Loop:
+    def guarded(block: Any, *, once: bool) -> Any:
         nonlocal sound
+        if isinstance(block, OfMatrices):
+            sound -= {e.element_hash() for e in ca.symvar(phase.symbols[block.target.name])}
+            return block
         if isinstance(block, Loop):
             body = tuple(guarded(each, once=False) for each in block.body)
             return replace(block, body=body)

@@ -83,7 +83,7 @@ def error_signals(states: Sequence[Signal]) -> tuple[Signal, ...]:
     """What the numbers of an error are: a state itself, of an attitude its three body axes."""
     parts: list[Signal] = []
     for each in states:
-        axes = [f"{each.name}.{axis}" for axis in "xyz"] if each.manifold else [each.name]
+        axes = [f"{each.name}[{axis}]" for axis in "xyz"] if each.manifold else [each.name]
         parts += [Signal(name, "rad" if each.manifold else each.unit) for name in axes]
     return tuple(parts)
 

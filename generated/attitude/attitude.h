@@ -4,7 +4,7 @@
  * generate again.
  * Equations: Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8).
  * Covariance update: short form.
- * Form of the code: loops over rows of y, straight lines elsewhere.
+ * Form of the code: loops over whole matrices.
  * Modes: 0 = the model; 1 = with its own Q; 2 = with its own R.
  * The mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k).
  *
@@ -15,56 +15,28 @@
  * Sample time: 0.105 s.
  *
  * Model: x[k+1] = f(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R).
- *   bias[0] = bias_x
- *   bias[1] = bias_y
- *   bias[2] = bias_z
- *   turn[0] = (1.0 + s_x) * turn_x
- *   turn[1] = (1.0 + s_y) * turn_y
- *   turn[2] = (1.0 + s_z) * turn_z
- *   q.T:1 = 2.0 * q[1]
- *   q.T:2 = 2.0 * q[2]
- *   q.T:3 = 2.0 * q[3]
- *   q.P:01 = q[0] * q.T:1
- *   q.P:02 = q[0] * q.T:2
- *   q.P:03 = q[0] * q.T:3
- *   q.P:11 = q[1] * q.T:1
- *   q.P:12 = q[1] * q.T:2
- *   q.P:13 = q[1] * q.T:3
- *   q.P:22 = q[2] * q.T:2
- *   q.P:23 = q[2] * q.T:3
- *   q.P:33 = q[3] * q.T:3
- *   q.R:00 = 1.0 - (q.P:22 + q.P:33)
- *   q.R:01 = q.P:12 - q.P:03
- *   q.R:02 = q.P:13 + q.P:02
- *   q.R:10 = q.P:12 + q.P:03
- *   q.R:11 = 1.0 - (q.P:11 + q.P:33)
- *   q.R:12 = q.P:23 - q.P:01
- *   q.R:20 = q.P:13 - q.P:02
- *   q.R:21 = q.P:23 + q.P:01
- *   q.R:22 = 1.0 - (q.P:11 + q.P:22)
- *   dv[0] = q.R:00 * push_x + q.R:01 * push_y + q.R:02 * push_z
- *   dv[1] = q.R:10 * push_x + q.R:11 * push_y + q.R:12 * push_z
- *   dv[2] = q.R:20 * push_x + q.R:21 * push_y + q.R:22 * push_z
- *   let.b:1 = -down
- *   b[0] = q.R:10 * north + q.R:20 * let.b:1
- *   b[1] = q.R:11 * north + q.R:21 * let.b:1
- *   b[2] = q.R:12 * north + q.R:22 * let.b:1
- *   f: q = q * [turn[0] - 0.105 * bias[0], turn[1] - 0.105 * bias[1], turn[2] - 0.105 * bias[2]]
+ *   let: bias = [bias_x, bias_y, bias_z]
+ *   let: turn = [(1 + s_x)*turn_x, (1 + s_y)*turn_y, (1 + s_z)*turn_z]
+ *   let: dv = rotate(q, [push_x, push_y, push_z])
+ *   let: b = rotate_back(q, [0, north, -down])
+ *   f: q = q * (turn - 0.105*bias)
  *   f: v_e = v_e + dv[0]
  *   f: v_n = v_n + dv[1]
- *   f: v_u = v_u + dv[2] - 1.03005
+ *   f: v_u = v_u + dv[2] - 9.81*0.105
  *   h: still_e = v_e
  *   h: still_n = v_n
  *   h: still_u = v_u
  *   h: mag_x = b[0] + m_x
  *   h: mag_y = b[1] + m_y
  *   h: mag_z = b[2] + m_z
- *   h: rest_x = turn_x / 0.105 - bias_x
- *   h: rest_y = turn_y / 0.105 - bias_y
- *   h: rest_z = turn_z / 0.105 - bias_z
+ *   h: rest_x = turn_x/0.105 - bias_x
+ *   h: rest_y = turn_y/0.105 - bias_y
+ *   h: rest_z = turn_z/0.105 - bias_z
  *   w: s_x ~ (0, 4e-06)
  *   w: s_y ~ (0, 4e-06)
  *   w: s_z ~ (0, 4e-06)
+ *   q * v: q turned by the rotation vector v, in body axes; rotate(q, v): v from body to world
+ *       axes, rotate_back(q, v): from world to body axes
  *   Q = diag(1.15e-07, 1.15e-07, 1.15e-07, 1.57e-09, 1.57e-09, 1.57e-09, 1.68e-06, 1.68e-06,
  *          1.68e-06, 9.45e-07, 9.45e-07, 9.45e-07)
  *   R = diag(0.0952, 0.0952, 0.0952, 15.21, 15.21, 15.21, 1.22e-05, 1.22e-05, 1.22e-05)
@@ -138,11 +110,11 @@
  *   10  m_y, uT
  *   11  m_z, uT
  *
- * Cost of one step with every row present: 20376 floating-point operations and 6 atan2 and 17 cos
+ * Cost of one step with every row present: 27323 floating-point operations and 6 atan2 and 17 cos
  * and 3 exp and 13 log and 17 sin and 23 sqrt.
  * An instance is 797 doubles, 6376 bytes; nothing else is kept. Tables of constants: 784 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 72512 bytes at -O0, 44992 at -Os.
+ * Stack of one call, interrupts left out: at most 68592 bytes at -O0, 57696 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

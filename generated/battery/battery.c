@@ -212,9 +212,9 @@ static int battery_present_rows(const double *y, uint32_t valid, uint32_t *prese
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -233,52 +233,6 @@ BATTERY_INLINE void battery_copy(const double *from, double *to, int size)
     {
         to[i] = from[i];
     }
-}
-
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction(const double *mixed_share,
-    const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
-    const double *mixed_apart_squared, double *mixed_covariance)
-{
-    const double t0 = mixed_share[0] * mode_filtered_state[0];
-    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[4]);
-    const double t1 = mixed_share[0] * mode_filtered_state[1];
-    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[5]);
-    const double t2 = mixed_share[0] * mode_filtered_state[2];
-    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[6]);
-    const double t3 = mixed_share[0] * mode_filtered_state[3];
-    mixed_mean[3] = t3 + (mixed_share[1] * mode_filtered_state[7]);
-    const double t4 = mixed_share[0] * mode_filtered_covariance[0];
-    const double t5 = t4 + (mixed_share[1] * mode_filtered_covariance[10]);
-    const double t6 = mixed_share[0] * mixed_share[1];
-    mixed_covariance[0] = t5 + (t6 * mixed_apart_squared[0]);
-    const double t7 = mixed_share[0] * mode_filtered_covariance[1];
-    const double t8 = t7 + (mixed_share[1] * mode_filtered_covariance[11]);
-    mixed_covariance[1] = t8 + (t6 * mixed_apart_squared[1]);
-    const double t9 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t10 = t9 + (mixed_share[1] * mode_filtered_covariance[12]);
-    mixed_covariance[2] = t10 + (t6 * mixed_apart_squared[2]);
-    const double t11 = mixed_share[0] * mode_filtered_covariance[3];
-    const double t12 = t11 + (mixed_share[1] * mode_filtered_covariance[13]);
-    mixed_covariance[3] = t12 + (t6 * mixed_apart_squared[3]);
-    const double t13 = mixed_share[0] * mode_filtered_covariance[4];
-    const double t14 = t13 + (mixed_share[1] * mode_filtered_covariance[14]);
-    mixed_covariance[4] = t14 + (t6 * mixed_apart_squared[4]);
-    const double t15 = mixed_share[0] * mode_filtered_covariance[5];
-    const double t16 = t15 + (mixed_share[1] * mode_filtered_covariance[15]);
-    mixed_covariance[5] = t16 + (t6 * mixed_apart_squared[5]);
-    const double t17 = mixed_share[0] * mode_filtered_covariance[6];
-    const double t18 = t17 + (mixed_share[1] * mode_filtered_covariance[16]);
-    mixed_covariance[6] = t18 + (t6 * mixed_apart_squared[6]);
-    const double t19 = mixed_share[0] * mode_filtered_covariance[7];
-    const double t20 = t19 + (mixed_share[1] * mode_filtered_covariance[17]);
-    mixed_covariance[7] = t20 + (t6 * mixed_apart_squared[7]);
-    const double t21 = mixed_share[0] * mode_filtered_covariance[8];
-    const double t22 = t21 + (mixed_share[1] * mode_filtered_covariance[18]);
-    mixed_covariance[8] = t22 + (t6 * mixed_apart_squared[8]);
-    const double t23 = mixed_share[0] * mode_filtered_covariance[9];
-    const double t24 = t23 + (mixed_share[1] * mode_filtered_covariance[19]);
-    mixed_covariance[9] = t24 + (t6 * mixed_apart_squared[9]);
 }
 
 /* mode 0: signal, R; mode 2: no signal, R. */
@@ -402,7 +356,21 @@ BATTERY_INLINE battery_status_t battery_mode(const double *y, const double *mode
     return BATTERY_OK;
 }
 
-/* part 2; mixing and prediction 2. */
+/* part 2; part 3. */
+BATTERY_INLINE void battery_part_6(const double *share, const double *mean, const double *mean_2,
+    double *mean_3, double *apart)
+{
+    mean_3[0] = (share[0] * mean[0]) + (share[1] * mean_2[0]);
+    mean_3[1] = (share[0] * mean[1]) + (share[1] * mean_2[1]);
+    mean_3[2] = (share[0] * mean[2]) + (share[1] * mean_2[2]);
+    mean_3[3] = (share[0] * mean[3]) + (share[1] * mean_2[3]);
+    apart[0] = mean[0] - mean_2[0];
+    apart[1] = mean[1] - mean_2[1];
+    apart[2] = mean[2] - mean_2[2];
+    apart[3] = mean[3] - mean_2[3];
+}
+
+/* mixing and prediction of every mode; part 2. */
 BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
@@ -417,28 +385,15 @@ BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
     apart_squared[9] = apart[3] * apart[3];
 }
 
-/* part 2; part 3. */
-BATTERY_INLINE void battery_part_6(const double *share, const double *mean, const double *mean_2,
-    double *mean_3)
-{
-    mean_3[0] = (share[0] * mean[0]) + (share[1] * mean_2[0]);
-    mean_3[1] = (share[0] * mean[1]) + (share[1] * mean_2[1]);
-}
-
 /* combination; combined prediction. */
-BATTERY_INLINE void battery_part_2(const double *mean_m0, const double *mean_m1,
-    const double *share, double *mean, const double *covariance, const double *covariance_2,
+BATTERY_INLINE void battery_part_2(const double *share, const double *mean_m0,
+    const double *mean_m1, double *mean, const double *covariance, const double *covariance_2,
     double *covariance_3)
 {
     double apart[4];
     double apart_squared[10];
-    apart[0] = mean_m0[0] - mean_m1[0];
-    apart[1] = mean_m0[1] - mean_m1[1];
-    apart[2] = mean_m0[2] - mean_m1[2];
-    apart[3] = mean_m0[3] - mean_m1[3];
+    battery_part_6(share, mean_m0, mean_m1, mean, apart);
     battery_part_5(apart, apart_squared);
-    battery_part_6(share, mean_m0, mean_m1, mean);
-    battery_part_6(share, &mean_m0[2], &mean_m1[2], &mean[2]);
     const double t0 = (share[0] * covariance[0]) + (share[1] * covariance_2[0]);
     const double t1 = share[0] * share[1];
     covariance_3[0] = t0 + (t1 * apart_squared[0]);
@@ -462,20 +417,53 @@ BATTERY_INLINE void battery_part_2(const double *mean_m0, const double *mean_m1,
     covariance_3[9] = t10 + (t1 * apart_squared[9]);
 }
 
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction(const double *mixed_share,
+    const double *mode_filtered_covariance, const double *mixed_apart_squared,
+    double *mixed_covariance)
+{
+    const double t0 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t1 = t0 + (mixed_share[1] * mode_filtered_covariance[10]);
+    const double t2 = mixed_share[0] * mixed_share[1];
+    mixed_covariance[0] = t1 + (t2 * mixed_apart_squared[0]);
+    const double t3 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t4 = t3 + (mixed_share[1] * mode_filtered_covariance[11]);
+    mixed_covariance[1] = t4 + (t2 * mixed_apart_squared[1]);
+    const double t5 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t6 = t5 + (mixed_share[1] * mode_filtered_covariance[12]);
+    mixed_covariance[2] = t6 + (t2 * mixed_apart_squared[2]);
+    const double t7 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t8 = t7 + (mixed_share[1] * mode_filtered_covariance[13]);
+    mixed_covariance[3] = t8 + (t2 * mixed_apart_squared[3]);
+    const double t9 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t10 = t9 + (mixed_share[1] * mode_filtered_covariance[14]);
+    mixed_covariance[4] = t10 + (t2 * mixed_apart_squared[4]);
+    const double t11 = mixed_share[0] * mode_filtered_covariance[5];
+    const double t12 = t11 + (mixed_share[1] * mode_filtered_covariance[15]);
+    mixed_covariance[5] = t12 + (t2 * mixed_apart_squared[5]);
+    const double t13 = mixed_share[0] * mode_filtered_covariance[6];
+    const double t14 = t13 + (mixed_share[1] * mode_filtered_covariance[16]);
+    mixed_covariance[6] = t14 + (t2 * mixed_apart_squared[6]);
+    const double t15 = mixed_share[0] * mode_filtered_covariance[7];
+    const double t16 = t15 + (mixed_share[1] * mode_filtered_covariance[17]);
+    mixed_covariance[7] = t16 + (t2 * mixed_apart_squared[7]);
+    const double t17 = mixed_share[0] * mode_filtered_covariance[8];
+    const double t18 = t17 + (mixed_share[1] * mode_filtered_covariance[18]);
+    mixed_covariance[8] = t18 + (t2 * mixed_apart_squared[8]);
+    const double t19 = mixed_share[0] * mode_filtered_covariance[9];
+    const double t20 = t19 + (mixed_share[1] * mode_filtered_covariance[19]);
+    mixed_covariance[9] = t20 + (t2 * mixed_apart_squared[9]);
+}
+
 /* combination; mixing and prediction of every mode. */
-BATTERY_INLINE void battery_part_3(const double *combined_0_1_mean, const double *combined_2_3_mean,
-    const double *combined_0_3_share, double *combined_0_3_mean,
+BATTERY_INLINE void battery_part_3(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance)
 {
     double combined_0_3_apart[4];
-    combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
-    combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
-    combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    combined_0_3_apart[3] = combined_0_1_mean[3] - combined_2_3_mean[3];
-    battery_part_6(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean);
-    battery_part_6(combined_0_3_share, &combined_0_1_mean[2], &combined_2_3_mean[2],
-        &combined_0_3_mean[2]);
+    battery_part_6(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_0_3_apart);
     const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
     const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
     const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
@@ -559,6 +547,26 @@ BATTERY_INLINE battery_status_t battery_mode_2(const double innovation_0, double
     return BATTERY_OK;
 }
 
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_2(const double *path_share,
+    const double path_share_inverse, double *mixed_share, const double *mode_filtered_state,
+    double *mixed_mean)
+{
+    double mixed_inverse;
+    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
+    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
+    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
+    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
+    const double t1 = mixed_share[0] * mode_filtered_state[0];
+    mixed_mean[0] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t2 + (mixed_share[1] * mode_filtered_state[5]);
+    const double t3 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t3 + (mixed_share[1] * mode_filtered_state[6]);
+    const double t4 = mixed_share[0] * mode_filtered_state[3];
+    mixed_mean[3] = t4 + (mixed_share[1] * mode_filtered_state[7]);
+}
+
 /* correct; propagate. */
 BATTERY_INLINE battery_status_t battery_part_4(const battery_params_t *params)
 {
@@ -599,35 +607,6 @@ BATTERY_INLINE battery_status_t battery_part_4(const battery_params_t *params)
         return BATTERY_PARAMETER_OUT_OF_RANGE;
     }
     return BATTERY_OK;
-}
-
-/* mixing and prediction of every mode; mixing and prediction 2. */
-BATTERY_INLINE void battery_mixing_and_prediction_4(const double *path_share,
-    const double path_share_inverse, double *mixed_share)
-{
-    double mixed_inverse;
-    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
-    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
-    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
-    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
-}
-
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_2(const double *path_share_0,
-    const double path_share_inverse_0, const double *mode_filtered_state,
-    double *mixed_apart_squared, double *mixed_0_mean, const double *mode_filtered_covariance,
-    double *mixed_0_covariance)
-{
-    double mixed_0_share[2];
-    double mixed_apart[4];
-    battery_mixing_and_prediction_4(path_share_0, path_share_inverse_0, mixed_0_share);
-    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[4];
-    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[5];
-    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[6];
-    mixed_apart[3] = mode_filtered_state[3] - mode_filtered_state[7];
-    battery_part_5(mixed_apart, mixed_apart_squared);
-    battery_mixing_and_prediction(mixed_0_share, mode_filtered_state, mixed_0_mean,
-        mode_filtered_covariance, mixed_apart_squared, mixed_0_covariance);
 }
 
 /* law of the next mode, and mixing weights. */
@@ -706,6 +685,24 @@ BATTERY_INLINE void battery_mode_4(const double *y, double *innovation_0, const 
 
     /* mode 2: no signal, R */
     battery_mode_5(mode_state, mean, mode_covariance, covariance);
+}
+
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_4(const double *path_share_0,
+    const double path_share_inverse_0, const double *mode_filtered_state, double *mixed_0_mean,
+    double *mixed_apart_squared, const double *mode_filtered_covariance, double *mixed_0_covariance)
+{
+    double mixed_0_share[2];
+    double mixed_apart[4];
+    battery_mixing_and_prediction_2(path_share_0, path_share_inverse_0, mixed_0_share,
+        mode_filtered_state, mixed_0_mean);
+    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[4];
+    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[5];
+    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[6];
+    mixed_apart[3] = mode_filtered_state[3] - mode_filtered_state[7];
+    battery_part_5(mixed_apart, mixed_apart_squared);
+    battery_mixing_and_prediction(mixed_0_share, mode_filtered_covariance, mixed_apart_squared,
+        mixed_0_covariance);
 }
 
 /* mixing and prediction of every mode: linearisation. */
@@ -1851,14 +1848,14 @@ static battery_status_t battery_correct(const battery_t *self, const battery_par
     combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + BATTERY_TINY);
     combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
     combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
-    battery_part_2(mean_m0, mean_m1, combined_0_1_share, combined_0_1_mean, covariance_m0,
+    battery_part_2(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
         covariance_m1, combined_0_1_covariance);
     combined_2_3_inverse = 1.0 / (weight[2] + weight[3] + BATTERY_TINY);
     combined_2_3_share[0] = weight[2] * combined_2_3_inverse;
     combined_2_3_share[1] = weight[3] * combined_2_3_inverse;
-    battery_part_2(mean_m2, mean_m3, combined_2_3_share, combined_2_3_mean, covariance_m2,
+    battery_part_2(combined_2_3_share, mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
         covariance_m3, combined_2_3_covariance);
-    battery_part_3(combined_0_1_mean, combined_2_3_mean, combined_0_3_share, combined_0_3_mean,
+    battery_part_3(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
     if (!battery_finite((battery_defect(combined_0_3_mean[0]) +
         battery_defect(combined_0_3_mean[1])) + (battery_defect(combined_0_3_mean[2]) +
@@ -1917,11 +1914,11 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     double path_share_total_2;
     double path_share_inverse_2;
     double mixed_0_0_3_share[2];
-    double mixed_apart_0_1_squared[10];
     double mixed_0_0_1_mean[4];
+    double mixed_apart_0_1_squared[10];
     double mixed_0_0_1_covariance[10];
-    double mixed_apart_2_3_squared[10];
     double mixed_0_2_3_mean[4];
+    double mixed_apart_2_3_squared[10];
     double mixed_0_2_3_covariance[10];
     double mixed_0_0_3_mean[4];
     double mixed_0_0_3_covariance[10];
@@ -1983,13 +1980,13 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     mixed_0_0_3_share[0] = t8 + (path_share_0[1] * path_share_inverse_0);
     const double t9 = path_share_0[2] * path_share_inverse_0;
     mixed_0_0_3_share[1] = t9 + (path_share_0[3] * path_share_inverse_0);
-    battery_mixing_and_prediction_2(path_share_0, path_share_inverse_0, self->mode_filtered_state,
-        mixed_apart_0_1_squared, mixed_0_0_1_mean, self->mode_filtered_covariance,
+    battery_mixing_and_prediction_4(path_share_0, path_share_inverse_0, self->mode_filtered_state,
+        mixed_0_0_1_mean, mixed_apart_0_1_squared, self->mode_filtered_covariance,
         mixed_0_0_1_covariance);
-    battery_mixing_and_prediction_2(&path_share_0[2], path_share_inverse_0,
-        &self->mode_filtered_state[8], mixed_apart_2_3_squared, mixed_0_2_3_mean,
+    battery_mixing_and_prediction_4(&path_share_0[2], path_share_inverse_0,
+        &self->mode_filtered_state[8], mixed_0_2_3_mean, mixed_apart_2_3_squared,
         &self->mode_filtered_covariance[20], mixed_0_2_3_covariance);
-    battery_part_3(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share, mixed_0_0_3_mean,
+    battery_part_3(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_mean,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance);
 
     /* mixing and prediction of every mode: linearisation */
@@ -2002,14 +1999,15 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     mixed_1_0_3_share[0] = t10 + (path_share_2[1] * path_share_inverse_2);
     const double t11 = path_share_2[2] * path_share_inverse_2;
     mixed_1_0_3_share[1] = t11 + (path_share_2[3] * path_share_inverse_2);
-    battery_mixing_and_prediction_4(path_share_2, path_share_inverse_2, mixed_1_0_1_share);
-    battery_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_state, mixed_1_0_1_mean,
-        self->mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    battery_mixing_and_prediction_4(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share);
-    battery_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_state[8],
-        mixed_1_2_3_mean, &self->mode_filtered_covariance[20], mixed_apart_2_3_squared,
-        mixed_1_2_3_covariance);
-    battery_part_3(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share, mixed_1_0_3_mean,
+    battery_mixing_and_prediction_2(path_share_2, path_share_inverse_2, mixed_1_0_1_share,
+        self->mode_filtered_state, mixed_1_0_1_mean);
+    battery_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    battery_mixing_and_prediction_2(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share,
+        &self->mode_filtered_state[8], mixed_1_2_3_mean);
+    battery_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_covariance[20],
+        mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    battery_part_3(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_mean,
         mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance);
 
     /* mixing and prediction of every mode: linearisation */
@@ -2022,7 +2020,7 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     /* combined prediction */
     predicted_0_1_share[0] = mode_prediction_0;
     predicted_0_1_share[1] = mode_prediction_2;
-    battery_part_2(moved_state_0, moved_state_1, predicted_0_1_share, predicted_0_1_mean,
+    battery_part_2(predicted_0_1_share, moved_state_0, moved_state_1, predicted_0_1_mean,
         moved_covariance_0, moved_covariance_1, predicted_0_1_covariance);
     const double t12 = log_path_largest_0 + battery_log(path_share_total_0);
     const double t13 = (t12 > BATTERY_LOG_ZERO) ? t12 : BATTERY_LOG_ZERO;
@@ -2233,24 +2231,30 @@ battery_status_t battery_predict(battery_t *self, const battery_params_t *params
 battery_status_t battery_step(battery_t *self, const battery_params_t *params, const double y[2],
     uint32_t valid)
 {
-    battery_t next;
-    battery_t prior;
     uint32_t present;
-    const battery_t *latest = self;
     battery_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return BATTERY_NULL_POINTER; }
     if (!battery_finite_params(params)) { return BATTERY_PARAMETER_OUT_OF_RANGE; }
     if (!battery_present_rows(y, valid, &present)) { return BATTERY_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        battery_reopen(self, &prior);
-        latest = &prior;
+        battery_t next;
+        status = battery_renew(self, params, y, present, &next);
+        if (status != BATTERY_OK) { return status; }
+        status = battery_propagate(&next, params, &next);
+        if (status != BATTERY_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = battery_correct(latest, params, y, present, &next);
-    if (status != BATTERY_OK) { return status; }
-    status = battery_propagate(&next, params, &next);
-    if (status != BATTERY_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        battery_t next;
+        status = battery_correct(self, params, y, present, &next);
+        if (status != BATTERY_OK) { return status; }
+        status = battery_propagate(&next, params, &next);
+        if (status != BATTERY_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? BATTERY_OK : BATTERY_SKIPPED;
 }

@@ -153,9 +153,9 @@ static int car_speed_present_rows(const double *y, uint32_t valid, uint32_t *pre
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -608,10 +608,7 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
 car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
 {
-    car_speed_t next;
-    car_speed_t prior;
     uint32_t present;
-    const car_speed_t *latest = self;
     car_speed_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL) || (y == NULL))
     {
@@ -622,14 +619,23 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        car_speed_reopen(self, &prior);
-        latest = &prior;
+        car_speed_t next;
+        status = car_speed_renew(self, y, present, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        status = car_speed_propagate(&next, params, u, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = car_speed_correct(latest, y, present, &next);
-    if (status != CAR_SPEED_OK) { return status; }
-    status = car_speed_propagate(&next, params, u, &next);
-    if (status != CAR_SPEED_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        car_speed_t next;
+        status = car_speed_correct(self, y, present, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        status = car_speed_propagate(&next, params, u, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }

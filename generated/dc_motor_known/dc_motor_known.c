@@ -159,9 +159,9 @@ static int dc_motor_known_present_rows(const double *y, uint32_t valid, uint32_t
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -455,10 +455,7 @@ dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
 dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
-    dc_motor_known_t next;
-    dc_motor_known_t prior;
     uint32_t present;
-    const dc_motor_known_t *latest = self;
     dc_motor_known_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL) || (y == NULL))
     {
@@ -475,14 +472,23 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     }
     if (self->updated > 0.0)
     {
-        dc_motor_known_reopen(self, &prior);
-        latest = &prior;
+        dc_motor_known_t next;
+        status = dc_motor_known_renew(self, params, y, present, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        status = dc_motor_known_propagate(&next, params, u, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = dc_motor_known_correct(latest, params, y, present, &next);
-    if (status != DC_MOTOR_KNOWN_OK) { return status; }
-    status = dc_motor_known_propagate(&next, params, u, &next);
-    if (status != DC_MOTOR_KNOWN_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        dc_motor_known_t next;
+        status = dc_motor_known_correct(self, params, y, present, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        status = dc_motor_known_propagate(&next, params, u, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }

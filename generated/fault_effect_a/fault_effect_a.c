@@ -147,9 +147,9 @@ static int fault_effect_a_present_rows(const double *y, uint32_t valid, uint32_t
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -472,10 +472,7 @@ fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const dou
 fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid)
 {
-    fault_effect_a_t next;
-    fault_effect_a_t prior;
     uint32_t present;
-    const fault_effect_a_t *latest = self;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
     if (!fault_effect_a_all_finite(u, FAULT_EFFECT_A_NU))
@@ -488,14 +485,23 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     }
     if (self->updated > 0.0)
     {
-        fault_effect_a_reopen(self, &prior);
-        latest = &prior;
+        fault_effect_a_t next;
+        status = fault_effect_a_renew(self, y, present, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        status = fault_effect_a_propagate(&next, u, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = fault_effect_a_correct(latest, y, present, &next);
-    if (status != FAULT_EFFECT_A_OK) { return status; }
-    status = fault_effect_a_propagate(&next, u, &next);
-    if (status != FAULT_EFFECT_A_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        fault_effect_a_t next;
+        status = fault_effect_a_correct(self, y, present, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        status = fault_effect_a_propagate(&next, u, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }

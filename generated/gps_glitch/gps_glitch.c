@@ -212,9 +212,9 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -235,87 +235,60 @@ GPS_GLITCH_INLINE void gps_glitch_copy(const double *from, double *to, int size)
     }
 }
 
-/* mixing and prediction of every mode; mixing and prediction. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_share,
-    const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
-    const double *mixed_apart_squared, double *mixed_covariance)
+/* combination; part 2. */
+GPS_GLITCH_INLINE void gps_glitch_part_3(const double *combined_share, const double *mean,
+    const double *mean_2, double *combined_mean, double *combined_apart)
 {
-    const double t0 = mixed_share[0] * mode_filtered_state[0];
-    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[3]);
-    const double t1 = mixed_share[0] * mode_filtered_state[1];
-    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[4]);
-    const double t2 = mixed_share[0] * mode_filtered_state[2];
-    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[5]);
-    const double t3 = mixed_share[0] * mode_filtered_covariance[0];
-    const double t4 = t3 + (mixed_share[1] * mode_filtered_covariance[6]);
-    const double t5 = mixed_share[0] * mixed_share[1];
-    mixed_covariance[0] = t4 + (t5 * mixed_apart_squared[0]);
-    const double t6 = mixed_share[0] * mode_filtered_covariance[1];
-    const double t7 = t6 + (mixed_share[1] * mode_filtered_covariance[7]);
-    mixed_covariance[1] = t7 + (t5 * mixed_apart_squared[1]);
-    const double t8 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t9 = t8 + (mixed_share[1] * mode_filtered_covariance[8]);
-    mixed_covariance[2] = t9 + (t5 * mixed_apart_squared[2]);
-    const double t10 = mixed_share[0] * mode_filtered_covariance[3];
-    const double t11 = t10 + (mixed_share[1] * mode_filtered_covariance[9]);
-    mixed_covariance[3] = t11 + (t5 * mixed_apart_squared[3]);
-    const double t12 = mixed_share[0] * mode_filtered_covariance[4];
-    const double t13 = t12 + (mixed_share[1] * mode_filtered_covariance[10]);
-    mixed_covariance[4] = t13 + (t5 * mixed_apart_squared[4]);
-    const double t14 = mixed_share[0] * mode_filtered_covariance[5];
-    const double t15 = t14 + (mixed_share[1] * mode_filtered_covariance[11]);
-    mixed_covariance[5] = t15 + (t5 * mixed_apart_squared[5]);
+    combined_mean[0] = (combined_share[0] * mean[0]) + (combined_share[1] * mean_2[0]);
+    combined_mean[1] = (combined_share[0] * mean[1]) + (combined_share[1] * mean_2[1]);
+    combined_mean[2] = (combined_share[0] * mean[2]) + (combined_share[1] * mean_2[2]);
+    combined_apart[0] = mean[0] - mean_2[0];
+    combined_apart[1] = mean[1] - mean_2[1];
+    combined_apart[2] = mean[2] - mean_2[2];
 }
 
-/* combination; mixing and prediction of every mode; mixing and prediction. */
-GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_1_mean,
-    const double *combined_2_3_mean, const double *combined_0_3_share, double *combined_0_3_mean,
+/* combination; mixing and prediction. */
+GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance)
 {
     double combined_0_3_apart[3];
-    combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
-    combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
-    combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
-    combined_0_3_mean[0] = t0 + (combined_0_3_share[1] * combined_2_3_mean[0]);
-    const double t1 = combined_0_3_share[0] * combined_0_1_mean[1];
-    combined_0_3_mean[1] = t1 + (combined_0_3_share[1] * combined_2_3_mean[1]);
-    const double t2 = combined_0_3_share[0] * combined_0_1_mean[2];
-    combined_0_3_mean[2] = t2 + (combined_0_3_share[1] * combined_2_3_mean[2]);
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t5 = combined_0_3_share[0] * combined_0_3_share[1];
-    combined_0_3_covariance[0] = t4 + (t5 * combined_0_3_apart[0] * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t8 = t5 * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t7 + (t8 * combined_0_3_apart[0]);
-    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t10 + (t8 * combined_0_3_apart[1]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t13 = t5 * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t12 + (t13 * combined_0_3_apart[0]);
-    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t15 + (t13 * combined_0_3_apart[1]);
-    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t17 + (t13 * combined_0_3_apart[2]);
+    gps_glitch_part_3(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_0_3_apart);
+    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t5 = t2 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
+    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t10 = t2 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
+    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
 }
 
-/* mixing and prediction of every mode; mixing and prediction. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixed_0_0_1_mean,
-    const double *mixed_2_3_mean, const double *mixed_0_3_share,
-    const double *mixed_0_0_1_covariance, const double *mixed_2_3_covariance, double *moved_state,
-    const double *Q, double *moved_covariance, const gps_glitch_params_t *params)
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_0_3_share,
+    const double *mixed_0_1_mean, const double *mixed_2_3_mean, const double *mixed_0_1_covariance,
+    const double *mixed_2_3_covariance, double *moved_state, const double *Q,
+    double *moved_covariance, const gps_glitch_params_t *params)
 {
     double mixed_0_3_mean[3];
     double mixed_0_3_covariance[6];
-    gps_glitch_part_2(mixed_0_0_1_mean, mixed_2_3_mean, mixed_0_3_share, mixed_0_3_mean,
-        mixed_0_0_1_covariance, mixed_2_3_covariance, mixed_0_3_covariance);
+    gps_glitch_part_2(mixed_0_3_share, mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_mean,
+        mixed_0_1_covariance, mixed_2_3_covariance, mixed_0_3_covariance);
     moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
     moved_state[1] = mixed_0_3_mean[1];
     moved_state[2] = mixed_0_3_mean[2];
@@ -327,20 +300,6 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixed_0_
     moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
     moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
     moved_covariance[4] = mixed_0_3_covariance[4];
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_2_3_share,
-    const double *mode_filtered_state, double *mixed_2_3_mean,
-    const double *mode_filtered_covariance, const double *mixed_apart_2_3_squared,
-    double *mixed_2_3_covariance, const double *mixed_0_1_mean, const double *mixed_0_3_share,
-    const double *mixed_0_1_covariance, double *moved_state, const double *Q,
-    double *moved_covariance, const gps_glitch_params_t *params)
-{
-    gps_glitch_mixing_and_prediction_2(mixed_2_3_share, mode_filtered_state, mixed_2_3_mean,
-        mode_filtered_covariance, mixed_apart_2_3_squared, mixed_2_3_covariance);
-    gps_glitch_mixing_and_prediction_3(mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_share,
-        mixed_0_1_covariance, mixed_2_3_covariance, moved_state, Q, moved_covariance, params);
 }
 
 /* mode 2: no signal, R: row 0 of y, baro; mode 3: no signal, noise x 400: row 0 of y, baro; mode 0:
@@ -490,13 +449,30 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     return GPS_GLITCH_OK;
 }
 
-/* mixing and prediction of every mode; combination; mixing and prediction 4. */
-GPS_GLITCH_INLINE void gps_glitch_part_3(const double *mixing_1, double *share)
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_share,
+    const double *mode_filtered_covariance, const double *mixed_apart_squared,
+    double *mixed_covariance)
 {
-    double inverse;
-    inverse = 1.0 / (mixing_1[0] + mixing_1[1] + GPS_GLITCH_TINY);
-    share[0] = mixing_1[0] * inverse;
-    share[1] = mixing_1[1] * inverse;
+    const double t0 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t1 = t0 + (mixed_share[1] * mode_filtered_covariance[6]);
+    const double t2 = mixed_share[0] * mixed_share[1];
+    mixed_covariance[0] = t1 + (t2 * mixed_apart_squared[0]);
+    const double t3 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t4 = t3 + (mixed_share[1] * mode_filtered_covariance[7]);
+    mixed_covariance[1] = t4 + (t2 * mixed_apart_squared[1]);
+    const double t5 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t6 = t5 + (mixed_share[1] * mode_filtered_covariance[8]);
+    mixed_covariance[2] = t6 + (t2 * mixed_apart_squared[2]);
+    const double t7 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t8 = t7 + (mixed_share[1] * mode_filtered_covariance[9]);
+    mixed_covariance[3] = t8 + (t2 * mixed_apart_squared[3]);
+    const double t9 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t10 = t9 + (mixed_share[1] * mode_filtered_covariance[10]);
+    mixed_covariance[4] = t10 + (t2 * mixed_apart_squared[4]);
+    const double t11 = mixed_share[0] * mode_filtered_covariance[5];
+    const double t12 = t11 + (mixed_share[1] * mode_filtered_covariance[11]);
+    mixed_covariance[5] = t12 + (t2 * mixed_apart_squared[5]);
 }
 
 /* combination; mixing and prediction 4. */
@@ -515,17 +491,15 @@ GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double
     const double *mean_2, double *combined_mean, const double *covariance,
     const double *covariance_2, double *combined_covariance)
 {
+    double combined_inverse;
     double combined_share[2];
     double combined_apart[3];
     double combined_apart_squared[6];
-    gps_glitch_part_3(weight, combined_share);
-    combined_apart[0] = mean[0] - mean_2[0];
-    combined_apart[1] = mean[1] - mean_2[1];
-    combined_apart[2] = mean[2] - mean_2[2];
+    combined_inverse = 1.0 / (weight[0] + weight[1] + GPS_GLITCH_TINY);
+    combined_share[0] = weight[0] * combined_inverse;
+    combined_share[1] = weight[1] * combined_inverse;
+    gps_glitch_part_3(combined_share, mean, mean_2, combined_mean, combined_apart);
     gps_glitch_part_4(combined_apart, combined_apart_squared);
-    combined_mean[0] = (combined_share[0] * mean[0]) + (combined_share[1] * mean_2[0]);
-    combined_mean[1] = (combined_share[0] * mean[1]) + (combined_share[1] * mean_2[1]);
-    combined_mean[2] = (combined_share[0] * mean[2]) + (combined_share[1] * mean_2[2]);
     const double t0 = (combined_share[0] * covariance[0]) + (combined_share[1] * covariance_2[0]);
     const double t1 = combined_share[0] * combined_share[1];
     combined_covariance[0] = t0 + (t1 * combined_apart_squared[0]);
@@ -539,6 +513,22 @@ GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double
     combined_covariance[4] = t5 + (t1 * combined_apart_squared[4]);
     const double t6 = (combined_share[0] * covariance[5]) + (combined_share[1] * covariance_2[5]);
     combined_covariance[5] = t6 + (t1 * combined_apart_squared[5]);
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing, double *mixed_share,
+    const double *mode_filtered_state, double *mixed_mean)
+{
+    double mixed_inverse;
+    mixed_inverse = 1.0 / (mixing[0] + mixing[1] + GPS_GLITCH_TINY);
+    mixed_share[0] = mixing[0] * mixed_inverse;
+    mixed_share[1] = mixing[1] * mixed_inverse;
+    const double t0 = mixed_share[0] * mode_filtered_state[0];
+    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[3]);
+    const double t1 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[5]);
 }
 
 /* What differs between the calls of gps_glitch_law_of_the_next, a row for each. */
@@ -561,6 +551,22 @@ GPS_GLITCH_INLINE void gps_glitch_law_of_the_next(const double *mode_probability
     mixing[1] = numbers[1] * mode_probability[1] * mode_prediction_inverse;
     mixing[2] = numbers[2] * mode_probability[2] * mode_prediction_inverse;
     mixing[3] = numbers[3] * mode_probability[3] * mode_prediction_inverse;
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *mixing_0,
+    const double *mode_filtered_state, double *mixed_0_mean, double *mixed_apart_squared,
+    const double *mode_filtered_covariance, double *mixed_0_covariance)
+{
+    double mixed_0_share[2];
+    double mixed_apart[3];
+    gps_glitch_mixing_and_prediction_3(mixing_0, mixed_0_share, mode_filtered_state, mixed_0_mean);
+    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
+    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
+    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
+    gps_glitch_part_4(mixed_apart, mixed_apart_squared);
+    gps_glitch_mixing_and_prediction_2(mixed_0_share, mode_filtered_covariance, mixed_apart_squared,
+        mixed_0_covariance);
 }
 
 /* What differs between the calls of gps_glitch_mode_3, a row for each. */
@@ -586,15 +592,25 @@ GPS_GLITCH_INLINE void gps_glitch_mode_3(const double innovation, double *quadra
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *mixing_0,
-    double *mixed_0_share, const double *mode_filtered_state, double *mixed_apart_squared)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_5(const double *path_share_3,
+    const double path_share_inverse_3, const double *mode_filtered_state, double *mixed_3_mean,
+    const double *mode_filtered_covariance, const double *mixed_apart_squared,
+    double *mixed_3_covariance)
 {
-    double mixed_apart[3];
-    gps_glitch_part_3(mixing_0, mixed_0_share);
-    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
-    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
-    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
-    gps_glitch_part_4(mixed_apart, mixed_apart_squared);
+    double mixed_3_inverse;
+    double mixed_3_share[2];
+    const double t0 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_inverse = 1.0 / (t0 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_inverse;
+    mixed_3_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_inverse;
+    const double t1 = mixed_3_share[0] * mode_filtered_state[0];
+    mixed_3_mean[0] = t1 + (mixed_3_share[1] * mode_filtered_state[3]);
+    const double t2 = mixed_3_share[0] * mode_filtered_state[1];
+    mixed_3_mean[1] = t2 + (mixed_3_share[1] * mode_filtered_state[4]);
+    const double t3 = mixed_3_share[0] * mode_filtered_state[2];
+    mixed_3_mean[2] = t3 + (mixed_3_share[1] * mode_filtered_state[5]);
+    gps_glitch_mixing_and_prediction_2(mixed_3_share, mode_filtered_covariance, mixed_apart_squared,
+        mixed_3_covariance);
 }
 
 /* innovation of the mixture. */
@@ -995,7 +1011,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         covariance_m1, combined_0_1_covariance);
     gps_glitch_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
         covariance_m3, combined_2_3_covariance);
-    gps_glitch_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share, combined_0_3_mean,
+    gps_glitch_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
     if (!gps_glitch_finite((gps_glitch_defect(combined_0_3_mean[0]) +
         gps_glitch_defect(combined_0_3_mean[1])) + gps_glitch_defect(combined_0_3_mean[2])))
@@ -1060,13 +1076,11 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double path_share_total_3;
     double path_share_inverse_3;
     double mixed_0_0_3_share[2];
-    double mixed_0_0_1_share[2];
-    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_mean[3];
+    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_covariance[6];
-    double mixed_0_2_3_share[2];
-    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_mean[3];
+    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_covariance[6];
     double moved_state_0[3];
     double moved_covariance_0[6];
@@ -1083,12 +1097,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double moved_state_2[3];
     double moved_covariance_2[6];
     double mixed_3_0_3_share[2];
-    double mixed_3_0_1_inverse;
-    double mixed_3_0_1_share[2];
     double mixed_3_0_1_mean[3];
     double mixed_3_0_1_covariance[6];
-    double mixed_3_2_3_inverse;
-    double mixed_3_2_3_share[2];
     double mixed_3_2_3_mean[3];
     double mixed_3_2_3_covariance[6];
     double moved_state_3[3];
@@ -1132,69 +1142,62 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     /* mixing and prediction of every mode */
     mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
-    gps_glitch_mixing_and_prediction_4(mixing_0, mixed_0_0_1_share, self->mode_filtered_state,
-        mixed_apart_0_1_squared);
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_share, self->mode_filtered_state,
-        mixed_0_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
-        mixed_0_0_1_covariance);
-    gps_glitch_mixing_and_prediction_4(&mixing_0[2], mixed_0_2_3_share,
-        &self->mode_filtered_state[6], mixed_apart_2_3_squared);
-    gps_glitch_mixing_and_prediction(mixed_0_2_3_share, &self->mode_filtered_state[6],
-        mixed_0_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
-        mixed_0_2_3_covariance, mixed_0_0_1_mean, mixed_0_0_3_share, mixed_0_0_1_covariance,
-        moved_state_0, Q, moved_covariance_0, params);
+    gps_glitch_mixing_and_prediction_4(mixing_0, self->mode_filtered_state, mixed_0_0_1_mean,
+        mixed_apart_0_1_squared, self->mode_filtered_covariance, mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_4(&mixing_0[2], &self->mode_filtered_state[6],
+        mixed_0_2_3_mean, mixed_apart_2_3_squared, &self->mode_filtered_covariance[12],
+        mixed_0_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q, moved_covariance_0,
+        params);
     mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
     mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
-    gps_glitch_part_3(mixing_1, mixed_1_0_1_share);
-    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_share, self->mode_filtered_state,
-        mixed_1_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
-        mixed_1_0_1_covariance);
-    gps_glitch_part_3(&mixing_1[2], mixed_1_2_3_share);
-    gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_state[6],
-        mixed_1_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
-        mixed_1_2_3_covariance, mixed_1_0_1_mean, mixed_1_0_3_share, mixed_1_0_1_covariance,
-        moved_state_1, Q, moved_covariance_1, params);
+    gps_glitch_mixing_and_prediction_3(mixing_1, mixed_1_0_1_share, self->mode_filtered_state,
+        mixed_1_0_1_mean);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_share, self->mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    gps_glitch_mixing_and_prediction_3(&mixing_1[2], mixed_1_2_3_share,
+        &self->mode_filtered_state[6], mixed_1_2_3_mean);
+    gps_glitch_mixing_and_prediction_2(mixed_1_2_3_share, &self->mode_filtered_covariance[12],
+        mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean,
+        mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q, moved_covariance_1,
+        params);
     mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
     mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
-    gps_glitch_mixing_and_prediction_3(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
+    gps_glitch_mixing_and_prediction(mixed_2_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q, moved_covariance_2,
         params);
     const double t7 = path_share_3[0] * path_share_inverse_3;
     mixed_3_0_3_share[0] = t7 + (path_share_3[1] * path_share_inverse_3);
     const double t8 = path_share_3[2] * path_share_inverse_3;
     mixed_3_0_3_share[1] = t8 + (path_share_3[3] * path_share_inverse_3);
-    const double t9 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_0_1_inverse = 1.0 / (t9 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_0_1_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_0_1_inverse;
-    mixed_3_0_1_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_0_1_inverse;
-    gps_glitch_mixing_and_prediction_2(mixed_3_0_1_share, self->mode_filtered_state,
-        mixed_3_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
-        mixed_3_0_1_covariance);
-    const double t10 = path_share_3[2] * path_share_inverse_3;
-    mixed_3_2_3_inverse = 1.0 / (t10 + (path_share_3[3] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_2_3_share[0] = path_share_3[2] * path_share_inverse_3 * mixed_3_2_3_inverse;
-    mixed_3_2_3_share[1] = path_share_3[3] * path_share_inverse_3 * mixed_3_2_3_inverse;
-    gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &self->mode_filtered_state[6],
-        mixed_3_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
-        mixed_3_2_3_covariance, mixed_3_0_1_mean, mixed_3_0_3_share, mixed_3_0_1_covariance,
-        moved_state_3, Q, moved_covariance_3, params);
+    gps_glitch_mixing_and_prediction_5(path_share_3, path_share_inverse_3,
+        self->mode_filtered_state, mixed_3_0_1_mean, self->mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_3_0_1_covariance);
+    gps_glitch_mixing_and_prediction_5(&path_share_3[2], path_share_inverse_3,
+        &self->mode_filtered_state[6], mixed_3_2_3_mean, &self->mode_filtered_covariance[12],
+        mixed_apart_2_3_squared, mixed_3_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_3_0_3_share, mixed_3_0_1_mean, mixed_3_2_3_mean,
+        mixed_3_0_1_covariance, mixed_3_2_3_covariance, moved_state_3, Q, moved_covariance_3,
+        params);
 
     /* combined prediction */
-    const double t11 = gps_glitch_log(mode_prediction_0);
-    const double t12 = gps_glitch_log(mode_prediction_1);
-    const double t13 = gps_glitch_log(mode_prediction_2);
-    const double t14 = log_path_largest_3 + gps_glitch_log(path_share_total_3);
-    const double t15 = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
-    const double t16 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
-    const double t17 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
-    const double t18 = t16 + (t17 * params->dt) + Q[0];
-    const double t19 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
-    const double t20 = t19 + Q[1];
-    const double t21 = self->filtered_covariance[2] + params->dt;
-    const double t22 = self->filtered_covariance[3] + (self->filtered_covariance[4] * params->dt);
-    const double t23 = self->filtered_covariance[5] + Q[3];
-    if (!gps_glitch_finite((((((gps_glitch_defect(mode_prediction_3) + gps_glitch_defect(t11)) +
-        gps_glitch_defect(t12)) + (gps_glitch_defect(t13) + gps_glitch_defect(t14))) +
+    const double t9 = gps_glitch_log(mode_prediction_0);
+    const double t10 = gps_glitch_log(mode_prediction_1);
+    const double t11 = gps_glitch_log(mode_prediction_2);
+    const double t12 = log_path_largest_3 + gps_glitch_log(path_share_total_3);
+    const double t13 = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
+    const double t14 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
+    const double t15 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
+    const double t16 = t14 + (t15 * params->dt) + Q[0];
+    const double t17 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
+    const double t18 = t17 + Q[1];
+    const double t19 = self->filtered_covariance[2] + params->dt;
+    const double t20 = self->filtered_covariance[3] + (self->filtered_covariance[4] * params->dt);
+    const double t21 = self->filtered_covariance[5] + Q[3];
+    if (!gps_glitch_finite((((((gps_glitch_defect(mode_prediction_3) + gps_glitch_defect(t9)) +
+        gps_glitch_defect(t10)) + (gps_glitch_defect(t11) + gps_glitch_defect(t12))) +
         (((gps_glitch_defect(moved_state_0[0]) + gps_glitch_defect(moved_state_0[2])) +
         gps_glitch_defect(moved_state_1[0])) + (gps_glitch_defect(moved_state_1[2]) +
         gps_glitch_defect(moved_state_2[0])))) + ((((gps_glitch_defect(moved_state_2[2]) +
@@ -1209,9 +1212,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
         gps_glitch_defect(moved_covariance_2[3])) + gps_glitch_defect(moved_covariance_2[5])) +
         (gps_glitch_defect(moved_covariance_3[0]) + gps_glitch_defect(moved_covariance_3[1])))) +
         ((((gps_glitch_defect(moved_covariance_3[2]) + gps_glitch_defect(moved_covariance_3[3])) +
-        gps_glitch_defect(moved_covariance_3[5])) + (gps_glitch_defect(t15) +
-        gps_glitch_defect(t18))) + ((gps_glitch_defect(t20) + gps_glitch_defect(t21)) +
-        (gps_glitch_defect(t22) + gps_glitch_defect(t23)))))))
+        gps_glitch_defect(moved_covariance_3[5])) + (gps_glitch_defect(t13) +
+        gps_glitch_defect(t16))) + ((gps_glitch_defect(t18) + gps_glitch_defect(t19)) +
+        (gps_glitch_defect(t20) + gps_glitch_defect(t21)))))))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1219,10 +1222,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     next->predicted_mode_probability[1] = mode_prediction_1;
     next->predicted_mode_probability[2] = mode_prediction_2;
     next->predicted_mode_probability[3] = mode_prediction_3;
-    next->predicted_log_weight[0] = t11;
-    next->predicted_log_weight[1] = t12;
-    next->predicted_log_weight[2] = t13;
-    next->predicted_log_weight[3] = t14;
+    next->predicted_log_weight[0] = t9;
+    next->predicted_log_weight[1] = t10;
+    next->predicted_log_weight[2] = t11;
+    next->predicted_log_weight[3] = t12;
     gps_glitch_copy(moved_state_0, next->mode_state, 3);
     gps_glitch_copy(moved_state_1, &next->mode_state[3], 3);
     gps_glitch_copy(moved_state_2, &next->mode_state[6], 3);
@@ -1231,15 +1234,15 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     gps_glitch_copy(moved_covariance_1, &next->mode_covariance[6], 6);
     gps_glitch_copy(moved_covariance_2, &next->mode_covariance[12], 6);
     gps_glitch_copy(moved_covariance_3, &next->mode_covariance[18], 6);
-    next->predicted_state[0] = t15;
+    next->predicted_state[0] = t13;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_state[2] = self->filtered_state[2];
-    next->predicted_covariance[0] = t18;
-    next->predicted_covariance[1] = t20;
-    next->predicted_covariance[2] = t21;
-    next->predicted_covariance[3] = t22;
+    next->predicted_covariance[0] = t16;
+    next->predicted_covariance[1] = t18;
+    next->predicted_covariance[2] = t19;
+    next->predicted_covariance[3] = t20;
     next->predicted_covariance[4] = self->filtered_covariance[4];
-    next->predicted_covariance[5] = t23;
+    next->predicted_covariance[5] = t21;
     return GPS_GLITCH_OK;
 }
 
@@ -1403,24 +1406,30 @@ gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_para
 gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid)
 {
-    gps_glitch_t next;
-    gps_glitch_t prior;
     uint32_t present;
-    const gps_glitch_t *latest = self;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        gps_glitch_reopen(self, &prior);
-        latest = &prior;
+        gps_glitch_t next;
+        status = gps_glitch_renew(self, y, present, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        status = gps_glitch_propagate(&next, params, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = gps_glitch_correct(latest, y, present, &next);
-    if (status != GPS_GLITCH_OK) { return status; }
-    status = gps_glitch_propagate(&next, params, &next);
-    if (status != GPS_GLITCH_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        gps_glitch_t next;
+        status = gps_glitch_correct(self, y, present, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        status = gps_glitch_propagate(&next, params, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

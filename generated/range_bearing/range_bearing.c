@@ -189,153 +189,231 @@ static double range_bearing_sqrt(double x)
 #endif
 }
 
-/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r, then a polynomial in r r */
-static double range_bearing_wave(double x, int32_t quarter)
+/* For speed a sine and a cosine of one angle are joined where they are called, to share their
+ * work. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
+#define RANGE_BEARING_JOINED static inline __attribute__((always_inline))
+#else
+#define RANGE_BEARING_JOINED static
+#endif
+
+/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r + low, then polynomials in r r */
+RANGE_BEARING_JOINED double range_bearing_wave(double x, uint64_t quarter)
 {
-    double y, z, r, part;
-    int32_t k;
-    uint32_t turn;
-    if (!((x <= 100000.0) && (x >= -100000.0)))
-    {
-        const double zero = 0.0;
-        return (x - x) / zero;
-    }
-    r = x * 0.6366197723675814;
-    r = r + ((x >= 0.0) ? 0.5 : -0.5);
-    k = (int32_t)r;
-    r = x;
-    part = (double)k * 1.5707963267341256;
-    r = r - part;
-    part = (double)k * 6.077100506303966e-11;
-    r = r - part;
-    part = (double)k * 2.0222662487959506e-21;
-    r = r - part;
+    const double zero = 0.0;
+    const double one = 1.0;
+    const double offset = 6755399441055744.0;
+    range_bearing_bits_t u;
+    double k, r, low, part, z, w, even, odd, sine, cosine;
+    u.value = x * 0.6366197723675814;
+    u.value = u.value + offset;
+    k = u.value - offset;
+    low = x;
+    part = k * 1.5707963267341256;
+    low = low - part;
+    part = k * 6.077100506303966e-11;
+    r = low - part;
+    low = low - r;
+    low = low - part;
+    part = k * 2.0222662487959506e-21;
+    low = low - part;
+    part = r;
+    r = part + low;
+    part = part - r;
+    low = part + low;
     z = r * r;
-    turn = (uint32_t)(k + quarter) & 3u;
-    if ((turn & 1u) != 0u)
-    {
-        y = -1.5619206968586225e-16;
-        y =     y * z;
-        y =     y + 4.779477332387385e-14;
-        y =     y * z;
-        y =     y + -1.1470745597729725e-11;
-        y =     y * z;
-        y =     y + 2.08767569878681e-09;
-        y =     y * z;
-        y =     y + -2.755731922398589e-07;
-        y =     y * z;
-        y =     y + 2.48015873015873e-05;
-        y =     y * z;
-        y =     y + -0.001388888888888889;
-        y =     y * z;
-        y =     y + 0.041666666666666664;
-        y =     y * z;
-        y =     y + -0.5;
-        y =     y * z;
-        y =     y + 1.0;
-
-    }
-    else
-    {
-        y = 2.8114572543455206e-15;
-        y =     y * z;
-        y =     y + -7.647163731819816e-13;
-        y =     y * z;
-        y =     y + 1.6059043836821613e-10;
-        y =     y * z;
-        y =     y + -2.505210838544172e-08;
-        y =     y * z;
-        y =     y + 2.7557319223985893e-06;
-        y =     y * z;
-        y =     y + -0.0001984126984126984;
-        y =     y * z;
-        y =     y + 0.008333333333333333;
-        y =     y * z;
-        y =     y + -0.16666666666666666;
-        y =     y * z;
-        y =     y + 1.0;
-
-        y = r * y;
-    }
-    return ((turn & 2u) != 0u) ? -y : y;
+    w = z * z;
+    even = -2.505073442971143e-08;
+    even = even * w;
+    even = even + -0.00019841269829358644;
+    even = even * w;
+    even = even + -0.1666666666666663;
+    odd = 1.5895439353100722e-10;
+    odd = odd * w;
+    odd = odd + 2.7557313538593055e-06;
+    odd = odd * w;
+    odd = odd + 0.00833333333332184;
+    odd = z * odd;
+    even = even + odd;
+    sine = z * even;
+    sine = r * sine;
+    sine = sine + low;
+    sine = r + sine;
+    even = 2.0875705007432117e-09;
+    even = even * w;
+    even = even + 2.4801587288996726e-05;
+    even = even * w;
+    even = even + 0.041666666666666595;
+    odd = -1.1358725475176406e-11;
+    odd = odd * w;
+    odd = odd + -2.755731421479159e-07;
+    odd = odd * w;
+    odd = odd + -0.0013888888888873338;
+    odd = z * odd;
+    even = even + odd;
+    odd = r * low;
+    even = w * even;
+    even = even - odd;
+    z = 0.5 * z;
+    w = one - z;
+    cosine = one - w;
+    cosine = cosine - z;
+    cosine = cosine + even;
+    cosine = w + cosine;
+    quarter = u.bits + quarter;
+    r = ((quarter & 1u) != 0u) ? cosine : sine;
+    r = ((quarter & 2u) != 0u) ? -r : r;
+    return ((x <= 100000.0) && (x >= -100000.0)) ? r : ((x - x) / zero);
 }
 
-static double range_bearing_sin(double x)
+RANGE_BEARING_JOINED double range_bearing_sin(double x)
 {
     return range_bearing_wave(x, 0);
 }
 
-static double range_bearing_cos(double x)
+RANGE_BEARING_JOINED double range_bearing_cos(double x)
 {
     return range_bearing_wave(x, 1);
 }
 
-/* angle of the point (x, y): the angle is halved twice, until the series is short */
+/* angle of the point (x, y): k pi/4 + s atan(q), where q is a quotient below tan(pi/8) */
 static double range_bearing_atan2(double y, double x)
 {
     const double zero = 0.0;
+    const double one = 1.0;
     const double a = (y < zero) ? -y : y;
     const double b = (x < zero) ? -x : x;
-    const double low = (a <= b) ? a : b;
-    const double high = (a <= b) ? b : a;
-    double t = (high > zero) ? (low / high) : (high + zero);
-    double z, angle;
-    int32_t i;
-    for (i = 0; i < 2; ++i)
+    range_bearing_bits_t u;
+    double low = a;
+    double high = b;
+    double more = zero;
+    double less = zero;
+    double k = zero;
+    double s = one;
+    double above, below, part, q, rest, z, w, even, odd;
+    if (!(a <= b))
     {
-        z = t * t;
-        z = 1.0 + z;
-        z = 1.0 + range_bearing_sqrt(z);
-        t = t / z;
+        low = b;
+        high = a;
+        k = 2.0;
+        s = -one;
     }
-    z = t * t;
-    angle = 0.04;
-    angle = angle * z;
-    angle = angle + -0.043478260869565216;
-    angle = angle * z;
-    angle = angle + 0.047619047619047616;
-    angle = angle * z;
-    angle = angle + -0.05263157894736842;
-    angle = angle * z;
-    angle = angle + 0.058823529411764705;
-    angle = angle * z;
-    angle = angle + -0.06666666666666667;
-    angle = angle * z;
-    angle = angle + 0.07692307692307693;
-    angle = angle * z;
-    angle = angle + -0.09090909090909091;
-    angle = angle * z;
-    angle = angle + 0.1111111111111111;
-    angle = angle * z;
-    angle = angle + -0.14285714285714285;
-    angle = angle * z;
-    angle = angle + 0.2;
-    angle = angle * z;
-    angle = angle + -0.3333333333333333;
-    angle = angle * z;
-    angle = angle + 1.0;
-
-    angle = t * angle;
-    angle = 4.0 * angle;
-    angle = (a <= b) ? angle : (1.5707963267948966 - angle);
-    angle = (x < zero) ? (3.141592653589793 - angle) : angle;
-    return (y < zero) ? -angle : angle;
+    if (x < zero)
+    {
+        k = 4.0 - k;
+        s = -s;
+    }
+    /* neither the sum nor its reciprocal is infinite or subnormal */
+    if ((high > 1.1235582092889474e+307) || (high < 3.054936363499605e-151))
+    {
+        part = (high > one) ? 0.0625 : 1.2366520073655227e+173;
+        low = low * part;
+        high = high * part;
+    }
+    if (low > (high * 0.41421356237309503))
+    {
+        more = low;
+        less = high;
+        k = k + s;
+    }
+    above = low - less;
+    below = high + more;
+    part = (below > zero) ? (one / below) : (low + high);
+    q = above * part;
+    /* what difference, sum and quotient leave: above - q below, by halves of both factors */
+    w = above + less;
+    w = low - w;
+    z = high - below;
+    z = z + more;
+    z = q * z;
+    w = w - z;
+    u.value = q;
+    u.bits &= UINT64_C(0xfffffffff8000000);
+    z = u.value;
+    even = q - z;
+    u.value = below;
+    u.bits &= UINT64_C(0xfffffffff8000000);
+    odd = z * u.value;
+    rest = above - odd;
+    odd = below - u.value;
+    odd = z * odd;
+    rest = rest - odd;
+    odd = even * below;
+    rest = rest - odd;
+    rest = rest + w;
+    rest = rest * part;
+    rest = (below <= DBL_MAX) ? (s * rest) : zero;
+    q = s * q;
+    z = q * q;
+    w = z * z;
+    even = -0.017894758614626697;
+    even = even * w;
+    even = even + -0.05038767884096675;
+    even = even * w;
+    even = even + -0.0666308719101043;
+    even = even * w;
+    even = even + -0.0909089769246056;
+    even = even * w;
+    even = even + -0.14285714280183792;
+    even = even * w;
+    even = even + -0.333333333333332;
+    odd = 0.03805190369340053;
+    odd = odd * w;
+    odd = odd + 0.058477655887819655;
+    odd = odd * w;
+    odd = odd + 0.07692058835454084;
+    odd = odd * w;
+    odd = odd + 0.11111110781878467;
+    odd = odd * w;
+    odd = odd + 0.19999999999953672;
+    odd = z * odd;
+    even = even + odd;
+    even = z * even;
+    even = q * even;
+    part = k * 3.061616997868383e-17;
+    even = even + part;
+    even = even + rest;
+    k = k * 0.7853981633974483;
+    w = k + q;
+    k = k - w;
+    k = k + q;
+    k = k + even;
+    w = w + k;
+    return (y < zero) ? -w : w;
 }
 
-/* length of (x, y), which overflows only if the result does */
+/* length of (x, y), in a unit in which no square overflows or vanishes */
 static double range_bearing_hypot(double x, double y)
 {
     const double zero = 0.0;
     const double a = (x < zero) ? -x : x;
     const double b = (y < zero) ? -y : y;
-    const double low = (a <= b) ? a : b;
-    const double high = (a <= b) ? b : a;
-    double t;
-    if (!(low > zero)) { return low + high; }
-    t = low / high;
-    t = t * t;
-    t = 1.0 + t;
-    return high * range_bearing_sqrt(t);
+    double large = (a > b) ? a : b;
+    double small = (a > b) ? b : a;
+    double unit = 1.0;
+    double h, d, part;
+    if ((large > 3.273390607896142e+150) || (large < 3.054936363499605e-151))
+    {
+        part = (large > unit) ? 8.08634922390439e-174 : 1.2366520073655227e+173;
+        unit = (large > unit) ? 1.2366520073655227e+173 : 8.08634922390439e-174;
+        large = large * part;
+        small = small * part;
+    }
+    d = large * large;
+    small = small * small;
+    h = d + small;
+    h = range_bearing_sqrt(h);
+    /* what the root leaves of the sum of squares, h^2 = large^2 + 2 large d + d^2 */
+    d = h - large;
+    part = large + large;
+    part = part * d;
+    part = small - part;
+    d = d * d;
+    part = part - d;
+    d = h + h;
+    d = ((h > zero) && (h <= DBL_MAX)) ? (part / d) : zero;
+    h = h + d;
+    return unit * h;
 }
 
 /* ---- constants ---- */
@@ -412,9 +490,9 @@ static int range_bearing_present_rows(const double *y, uint32_t valid, uint32_t 
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -661,53 +739,45 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_2(const double in
     return RANGE_BEARING_OK;
 }
 
-/* mixing and prediction of every mode; part 2; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_8(const double *mixed_1_2_3_share,
-    const double *mixing_errors_2, const double *mixing_errors_3, double *mixed_1_2_3_mean)
-{
-    const double t0 = mixed_1_2_3_share[0] * mixing_errors_2[0];
-    mixed_1_2_3_mean[0] = t0 + (mixed_1_2_3_share[1] * mixing_errors_3[0]);
-    const double t1 = mixed_1_2_3_share[0] * mixing_errors_2[1];
-    mixed_1_2_3_mean[1] = t1 + (mixed_1_2_3_share[1] * mixing_errors_3[1]);
-    const double t2 = mixed_1_2_3_share[0] * mixing_errors_2[2];
-    mixed_1_2_3_mean[2] = t2 + (mixed_1_2_3_share[1] * mixing_errors_3[2]);
-}
-
 /* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_1_mean,
-    const double *combined_2_3_mean, const double *combined_0_3_share,
+RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance, const double *mean_m0, double *turn)
 {
-    double combined_0_3_apart[3];
     double combined_0_3_mean[3];
+    double combined_0_3_apart[3];
     double mean[3];
+    const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
+    combined_0_3_mean[0] = t0 + (combined_0_3_share[1] * combined_2_3_mean[0]);
+    const double t1 = combined_0_3_share[0] * combined_0_1_mean[1];
+    combined_0_3_mean[1] = t1 + (combined_0_3_share[1] * combined_2_3_mean[1]);
+    const double t2 = combined_0_3_share[0] * combined_0_1_mean[2];
+    combined_0_3_mean[2] = t2 + (combined_0_3_share[1] * combined_2_3_mean[2]);
     combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
     combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
     combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    range_bearing_part_8(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
-        combined_0_3_mean);
-    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
-    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t5 = t2 * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
-    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t10 = t2 * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
-    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
+    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t5 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t4 + (t5 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t8 = t5 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t7 + (t8 * combined_0_3_apart[0]);
+    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t10 + (t8 * combined_0_3_apart[1]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t13 = t5 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t12 + (t13 * combined_0_3_apart[0]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t15 + (t13 * combined_0_3_apart[1]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t17 + (t13 * combined_0_3_apart[2]);
     range_bearing_copy(combined_0_3_mean, mean, 3);
     turn[0] = mean_m0[0] + mean[0];
     turn[1] = mean_m0[1] + mean[1];
@@ -740,10 +810,23 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction(const double *mixe
     mixed_covariance[5] = t12 + (t2 * mixed_apart_squared[5]);
 }
 
-/* combination; combined prediction. */
-RANGE_BEARING_INLINE void range_bearing_part_3(const double *share, const double *covariance,
-    const double *covariance_2, const double *apart_squared, double *covariance_3)
+/* mixing and prediction of every mode; part 3. */
+RANGE_BEARING_INLINE void range_bearing_part_7(const double *apart, double *apart_squared)
 {
+    apart_squared[0] = apart[0] * apart[0];
+    apart_squared[1] = apart[1] * apart[0];
+    apart_squared[2] = apart[1] * apart[1];
+    apart_squared[3] = apart[2] * apart[0];
+    apart_squared[4] = apart[2] * apart[1];
+    apart_squared[5] = apart[2] * apart[2];
+}
+
+/* combination; combined prediction. */
+RANGE_BEARING_INLINE void range_bearing_part_3(const double *apart, const double *share,
+    const double *covariance, const double *covariance_2, double *covariance_3)
+{
+    double apart_squared[6];
+    range_bearing_part_7(apart, apart_squared);
     const double t0 = (share[0] * covariance[0]) + (share[1] * covariance_2[0]);
     const double t1 = share[0] * share[1];
     covariance_3[0] = t0 + (t1 * apart_squared[0]);
@@ -757,31 +840,6 @@ RANGE_BEARING_INLINE void range_bearing_part_3(const double *share, const double
     covariance_3[4] = t5 + (t1 * apart_squared[4]);
     const double t6 = (share[0] * covariance[5]) + (share[1] * covariance_2[5]);
     covariance_3[5] = t6 + (t1 * apart_squared[5]);
-}
-
-/* part 4; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_10(const double *apart, double *apart_squared)
-{
-    apart_squared[0] = apart[0] * apart[0];
-    apart_squared[1] = apart[1] * apart[0];
-    apart_squared[2] = apart[1] * apart[1];
-    apart_squared[3] = apart[2] * apart[0];
-    apart_squared[4] = apart[2] * apart[1];
-    apart_squared[5] = apart[2] * apart[2];
-}
-
-/* combination; mixing and prediction of every mode; combined prediction. */
-RANGE_BEARING_INLINE void range_bearing_part_4(const double *errors_1, double *apart_0_1_squared,
-    const double combined_0_1_share, double *combined_0_1_mean)
-{
-    double apart_0_1[3];
-    apart_0_1[0] = -errors_1[0];
-    apart_0_1[1] = -errors_1[1];
-    apart_0_1[2] = -errors_1[2];
-    range_bearing_part_10(apart_0_1, apart_0_1_squared);
-    combined_0_1_mean[0] = combined_0_1_share * errors_1[0];
-    combined_0_1_mean[1] = combined_0_1_share * errors_1[1];
-    combined_0_1_mean[2] = combined_0_1_share * errors_1[2];
 }
 
 /* innovation of the mixture. */
@@ -809,27 +867,20 @@ RANGE_BEARING_INLINE void range_bearing_innovation_of_the_mixture(const double
     }
 }
 
-/* combination; mixing and prediction of every mode; part 5. */
-RANGE_BEARING_INLINE void range_bearing_part_7(const double *weight, double *share)
-{
-    double inverse;
-    inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
-    share[0] = weight[0] * inverse;
-    share[1] = weight[1] * inverse;
-}
-
 /* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *combined_2_3_share,
-    const double *errors_2, const double *errors_3, double *apart_2_3_squared,
-    double *combined_2_3_mean)
+RANGE_BEARING_INLINE void range_bearing_part_4(const double *weight, double *combined_2_3_share,
+    const double *errors_2, const double *errors_3, double *combined_2_3_mean)
 {
-    double apart_2_3[3];
-    range_bearing_part_7(weight, combined_2_3_share);
-    apart_2_3[0] = errors_2[0] - errors_3[0];
-    apart_2_3[1] = errors_2[1] - errors_3[1];
-    apart_2_3[2] = errors_2[2] - errors_3[2];
-    range_bearing_part_10(apart_2_3, apart_2_3_squared);
-    range_bearing_part_8(combined_2_3_share, errors_2, errors_3, combined_2_3_mean);
+    double combined_2_3_inverse;
+    combined_2_3_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_2_3_share[0] = weight[0] * combined_2_3_inverse;
+    combined_2_3_share[1] = weight[1] * combined_2_3_inverse;
+    const double t0 = combined_2_3_share[0] * errors_2[0];
+    combined_2_3_mean[0] = t0 + (combined_2_3_share[1] * errors_3[0]);
+    const double t1 = combined_2_3_share[0] * errors_2[1];
+    combined_2_3_mean[1] = t1 + (combined_2_3_share[1] * errors_3[1]);
+    const double t2 = combined_2_3_share[0] * errors_2[2];
+    combined_2_3_mean[2] = t2 + (combined_2_3_share[1] * errors_3[2]);
 }
 
 /* mixing and prediction of every mode. */
@@ -850,6 +901,21 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *mo
     moved_covariance[5] = mixed_0_3_covariance[5] + 2.5000000000000008e-05;
     moved_covariance[3] = t1;
     moved_covariance[4] = t3;
+}
+
+/* combination; mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *combined_0_3_share,
+    double *combined_0_1_share, const double *errors_1, double *combined_0_1_mean)
+{
+    double combined_0_1_inverse;
+    combined_0_3_share[0] = weight[0] + weight[1];
+    combined_0_3_share[1] = weight[2] + weight[3];
+    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
+    combined_0_1_mean[0] = combined_0_1_share[1] * errors_1[0];
+    combined_0_1_mean[1] = combined_0_1_share[1] * errors_1[1];
+    combined_0_1_mean[2] = combined_0_1_share[1] * errors_1[2];
 }
 
 /* combination; combined prediction. */
@@ -932,15 +998,6 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_innovation_of_the_mixt
         whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
     }
     return RANGE_BEARING_OK;
-}
-
-/* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_9(const double *weight, double *combined_0_3_share,
-    double *combined_0_1_share)
-{
-    combined_0_3_share[0] = weight[0] + weight[1];
-    combined_0_3_share[1] = weight[2] + weight[3];
-    range_bearing_part_7(weight, combined_0_1_share);
 }
 
 /* innovation of the mixture. */
@@ -1176,12 +1233,12 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     double combination_errors_3[3];
     double combined_0_3_share[2];
     double combined_0_1_share[2];
-    double combined_apart_0_1_squared[6];
     double combined_0_1_mean[3];
+    double combined_apart_0_1[3];
     double combined_0_1_covariance[6];
     double combined_2_3_share[2];
-    double combined_apart_2_3_squared[6];
     double combined_2_3_mean[3];
+    double combined_apart_2_3[3];
     double combined_2_3_covariance[6];
     double combined_0_3_covariance[6];
     double turn_combination[3];
@@ -1273,16 +1330,21 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double *y
     range_bearing_part_6(mean_m1, mean_m0, combination_errors_1);
     range_bearing_part_6(mean_m2, mean_m0, combination_errors_2);
     range_bearing_part_6(mean_m3, mean_m0, combination_errors_3);
-    range_bearing_part_9(weight, combined_0_3_share, combined_0_1_share);
-    range_bearing_part_4(combination_errors_1, combined_apart_0_1_squared, combined_0_1_share[1],
+    range_bearing_part_5(weight, combined_0_3_share, combined_0_1_share, combination_errors_1,
         combined_0_1_mean);
-    range_bearing_part_3(combined_0_1_share, covariance_m0, covariance_m1,
-        combined_apart_0_1_squared, combined_0_1_covariance);
-    range_bearing_part_5(&weight[2], combined_2_3_share, combination_errors_2, combination_errors_3,
-        combined_apart_2_3_squared, combined_2_3_mean);
-    range_bearing_part_3(combined_2_3_share, covariance_m2, covariance_m3,
-        combined_apart_2_3_squared, combined_2_3_covariance);
-    range_bearing_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share,
+    combined_apart_0_1[0] = -combination_errors_1[0];
+    combined_apart_0_1[1] = -combination_errors_1[1];
+    combined_apart_0_1[2] = -combination_errors_1[2];
+    range_bearing_part_3(combined_apart_0_1, combined_0_1_share, covariance_m0, covariance_m1,
+        combined_0_1_covariance);
+    range_bearing_part_4(&weight[2], combined_2_3_share, combination_errors_2, combination_errors_3,
+        combined_2_3_mean);
+    combined_apart_2_3[0] = combination_errors_2[0] - combination_errors_3[0];
+    combined_apart_2_3[1] = combination_errors_2[1] - combination_errors_3[1];
+    combined_apart_2_3[2] = combination_errors_2[2] - combination_errors_3[2];
+    range_bearing_part_3(combined_apart_2_3, combined_2_3_share, covariance_m2, covariance_m3,
+        combined_2_3_covariance);
+    range_bearing_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance, mean_m0,
         turn_combination);
     if (!range_bearing_finite((range_bearing_defect(turn_combination[0]) +
@@ -1444,12 +1506,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double mixing_errors_3[3];
     double mixed_0_0_3_share[2];
     double mixed_0_0_1_share[2];
-    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_mean[3];
+    double mixed_apart_0_1[3];
+    double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_covariance[6];
     double mixed_0_2_3_share[2];
-    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_mean[3];
+    double mixed_apart_2_3[3];
+    double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_covariance[6];
     double mixed_0_0_3_covariance[6];
     double turn_mixing_0[3];
@@ -1470,8 +1534,8 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double moved_covariance_1[6];
     double prediction_errors_1[3];
     double predicted_0_1_share[2];
-    double predicted_apart_0_1_squared[6];
     double predicted_0_1_mean[3];
+    double predicted_apart_0_1[3];
     double predicted_0_1_covariance[6];
     double prediction_mean[3];
     double turn_prediction[3];
@@ -1496,16 +1560,23 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     const double t4 = self->mode_filtered_state[11] - self->mode_filtered_state[2];
     const double t5 = 6.283185307179586 * range_bearing_floor(0.5 - (0.15915494309189535 * t4));
     mixing_errors_3[2] = t4 + t5;
-    range_bearing_part_9(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share);
-    range_bearing_part_4(mixing_errors_1, mixed_apart_0_1_squared, mixed_0_0_1_share[1],
+    range_bearing_part_5(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share, mixing_errors_1,
         mixed_0_0_1_mean);
+    mixed_apart_0_1[0] = -mixing_errors_1[0];
+    mixed_apart_0_1[1] = -mixing_errors_1[1];
+    mixed_apart_0_1[2] = -mixing_errors_1[2];
+    range_bearing_part_7(mixed_apart_0_1, mixed_apart_0_1_squared);
     range_bearing_mixing_and_prediction(mixed_0_0_1_share, self->mode_filtered_covariance,
         mixed_apart_0_1_squared, mixed_0_0_1_covariance);
-    range_bearing_part_5(&mixing_0[2], mixed_0_2_3_share, mixing_errors_2, mixing_errors_3,
-        mixed_apart_2_3_squared, mixed_0_2_3_mean);
+    range_bearing_part_4(&mixing_0[2], mixed_0_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_0_2_3_mean);
+    mixed_apart_2_3[0] = mixing_errors_2[0] - mixing_errors_3[0];
+    mixed_apart_2_3[1] = mixing_errors_2[1] - mixing_errors_3[1];
+    mixed_apart_2_3[2] = mixing_errors_2[2] - mixing_errors_3[2];
+    range_bearing_part_7(mixed_apart_2_3, mixed_apart_2_3_squared);
     range_bearing_mixing_and_prediction(mixed_0_2_3_share, &self->mode_filtered_covariance[12],
         mixed_apart_2_3_squared, mixed_0_2_3_covariance);
-    range_bearing_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
+    range_bearing_part_2(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance,
         self->mode_filtered_state, turn_mixing_0);
 
@@ -1515,17 +1586,15 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     /* mixing and prediction of every mode */
     range_bearing_mixing_and_prediction_2(moved_0, moved_state_0, mixed_0_0_3_covariance,
         moved_covariance_0);
-    range_bearing_part_9(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share);
-    mixed_1_0_1_mean[0] = mixed_1_0_1_share[1] * mixing_errors_1[0];
-    mixed_1_0_1_mean[1] = mixed_1_0_1_share[1] * mixing_errors_1[1];
-    mixed_1_0_1_mean[2] = mixed_1_0_1_share[1] * mixing_errors_1[2];
+    range_bearing_part_5(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share, mixing_errors_1,
+        mixed_1_0_1_mean);
     range_bearing_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_covariance,
         mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    range_bearing_part_7(&mixing_1[2], mixed_1_2_3_share);
-    range_bearing_part_8(mixed_1_2_3_share, mixing_errors_2, mixing_errors_3, mixed_1_2_3_mean);
+    range_bearing_part_4(&mixing_1[2], mixed_1_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_1_2_3_mean);
     range_bearing_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_covariance[12],
         mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    range_bearing_part_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
+    range_bearing_part_2(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean,
         mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance,
         self->mode_filtered_state, turn_mixing_1);
 
@@ -1540,10 +1609,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     range_bearing_part_6(moved_state_1, moved_state_0, prediction_errors_1);
     predicted_0_1_share[0] = mode_prediction_0;
     predicted_0_1_share[1] = mode_prediction_1;
-    range_bearing_part_4(prediction_errors_1, predicted_apart_0_1_squared, predicted_0_1_share[1],
-        predicted_0_1_mean);
-    range_bearing_part_3(predicted_0_1_share, moved_covariance_0, moved_covariance_1,
-        predicted_apart_0_1_squared, predicted_0_1_covariance);
+    predicted_0_1_mean[0] = predicted_0_1_share[1] * prediction_errors_1[0];
+    predicted_0_1_mean[1] = predicted_0_1_share[1] * prediction_errors_1[1];
+    predicted_0_1_mean[2] = predicted_0_1_share[1] * prediction_errors_1[2];
+    predicted_apart_0_1[0] = -prediction_errors_1[0];
+    predicted_apart_0_1[1] = -prediction_errors_1[1];
+    predicted_apart_0_1[2] = -prediction_errors_1[2];
+    range_bearing_part_3(predicted_apart_0_1, predicted_0_1_share, moved_covariance_0,
+        moved_covariance_1, predicted_0_1_covariance);
     range_bearing_copy(predicted_0_1_mean, prediction_mean, 3);
     turn_prediction[0] = moved_state_0[0] + prediction_mean[0];
     turn_prediction[1] = moved_state_0[1] + prediction_mean[1];
@@ -1755,24 +1828,30 @@ range_bearing_status_t range_bearing_predict(range_bearing_t *self, const double
 range_bearing_status_t range_bearing_step(range_bearing_t *self, const double u[2],
     const double y[3], uint32_t valid)
 {
-    range_bearing_t next;
-    range_bearing_t prior;
     uint32_t present;
-    const range_bearing_t *latest = self;
     range_bearing_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return RANGE_BEARING_NULL_POINTER; }
     if (!range_bearing_all_finite(u, RANGE_BEARING_NU)) { return RANGE_BEARING_INPUT_NOT_FINITE; }
     if (!range_bearing_present_rows(y, valid, &present)) { return RANGE_BEARING_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        range_bearing_reopen(self, &prior);
-        latest = &prior;
+        range_bearing_t next;
+        status = range_bearing_renew(self, y, present, &next);
+        if (status != RANGE_BEARING_OK) { return status; }
+        status = range_bearing_propagate(&next, u, &next);
+        if (status != RANGE_BEARING_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = range_bearing_correct(latest, y, present, &next);
-    if (status != RANGE_BEARING_OK) { return status; }
-    status = range_bearing_propagate(&next, u, &next);
-    if (status != RANGE_BEARING_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        range_bearing_t next;
+        status = range_bearing_correct(self, y, present, &next);
+        if (status != RANGE_BEARING_OK) { return status; }
+        status = range_bearing_propagate(&next, u, &next);
+        if (status != RANGE_BEARING_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? RANGE_BEARING_OK : RANGE_BEARING_SKIPPED;
 }

@@ -132,83 +132,89 @@ static double ship_track_exp(double x)
     return z * u.value;
 }
 
-/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r, then a polynomial in r r */
-static double ship_track_wave(double x, int32_t quarter)
+/* For speed a sine and a cosine of one angle are joined where they are called, to share their
+ * work. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
+#define SHIP_TRACK_JOINED static inline __attribute__((always_inline))
+#else
+#define SHIP_TRACK_JOINED static
+#endif
+
+/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r + low, then polynomials in r r */
+SHIP_TRACK_JOINED double ship_track_wave(double x, uint64_t quarter)
 {
-    double y, z, r, part;
-    int32_t k;
-    uint32_t turn;
-    if (!((x <= 100000.0) && (x >= -100000.0)))
-    {
-        const double zero = 0.0;
-        return (x - x) / zero;
-    }
-    r = x * 0.6366197723675814;
-    r = r + ((x >= 0.0) ? 0.5 : -0.5);
-    k = (int32_t)r;
-    r = x;
-    part = (double)k * 1.5707963267341256;
-    r = r - part;
-    part = (double)k * 6.077100506303966e-11;
-    r = r - part;
-    part = (double)k * 2.0222662487959506e-21;
-    r = r - part;
+    const double zero = 0.0;
+    const double one = 1.0;
+    const double offset = 6755399441055744.0;
+    ship_track_bits_t u;
+    double k, r, low, part, z, w, even, odd, sine, cosine;
+    u.value = x * 0.6366197723675814;
+    u.value = u.value + offset;
+    k = u.value - offset;
+    low = x;
+    part = k * 1.5707963267341256;
+    low = low - part;
+    part = k * 6.077100506303966e-11;
+    r = low - part;
+    low = low - r;
+    low = low - part;
+    part = k * 2.0222662487959506e-21;
+    low = low - part;
+    part = r;
+    r = part + low;
+    part = part - r;
+    low = part + low;
     z = r * r;
-    turn = (uint32_t)(k + quarter) & 3u;
-    if ((turn & 1u) != 0u)
-    {
-        y = -1.5619206968586225e-16;
-        y =     y * z;
-        y =     y + 4.779477332387385e-14;
-        y =     y * z;
-        y =     y + -1.1470745597729725e-11;
-        y =     y * z;
-        y =     y + 2.08767569878681e-09;
-        y =     y * z;
-        y =     y + -2.755731922398589e-07;
-        y =     y * z;
-        y =     y + 2.48015873015873e-05;
-        y =     y * z;
-        y =     y + -0.001388888888888889;
-        y =     y * z;
-        y =     y + 0.041666666666666664;
-        y =     y * z;
-        y =     y + -0.5;
-        y =     y * z;
-        y =     y + 1.0;
-
-    }
-    else
-    {
-        y = 2.8114572543455206e-15;
-        y =     y * z;
-        y =     y + -7.647163731819816e-13;
-        y =     y * z;
-        y =     y + 1.6059043836821613e-10;
-        y =     y * z;
-        y =     y + -2.505210838544172e-08;
-        y =     y * z;
-        y =     y + 2.7557319223985893e-06;
-        y =     y * z;
-        y =     y + -0.0001984126984126984;
-        y =     y * z;
-        y =     y + 0.008333333333333333;
-        y =     y * z;
-        y =     y + -0.16666666666666666;
-        y =     y * z;
-        y =     y + 1.0;
-
-        y = r * y;
-    }
-    return ((turn & 2u) != 0u) ? -y : y;
+    w = z * z;
+    even = -2.505073442971143e-08;
+    even = even * w;
+    even = even + -0.00019841269829358644;
+    even = even * w;
+    even = even + -0.1666666666666663;
+    odd = 1.5895439353100722e-10;
+    odd = odd * w;
+    odd = odd + 2.7557313538593055e-06;
+    odd = odd * w;
+    odd = odd + 0.00833333333332184;
+    odd = z * odd;
+    even = even + odd;
+    sine = z * even;
+    sine = r * sine;
+    sine = sine + low;
+    sine = r + sine;
+    even = 2.0875705007432117e-09;
+    even = even * w;
+    even = even + 2.4801587288996726e-05;
+    even = even * w;
+    even = even + 0.041666666666666595;
+    odd = -1.1358725475176406e-11;
+    odd = odd * w;
+    odd = odd + -2.755731421479159e-07;
+    odd = odd * w;
+    odd = odd + -0.0013888888888873338;
+    odd = z * odd;
+    even = even + odd;
+    odd = r * low;
+    even = w * even;
+    even = even - odd;
+    z = 0.5 * z;
+    w = one - z;
+    cosine = one - w;
+    cosine = cosine - z;
+    cosine = cosine + even;
+    cosine = w + cosine;
+    quarter = u.bits + quarter;
+    r = ((quarter & 1u) != 0u) ? cosine : sine;
+    r = ((quarter & 2u) != 0u) ? -r : r;
+    return ((x <= 100000.0) && (x >= -100000.0)) ? r : ((x - x) / zero);
 }
 
-static double ship_track_sin(double x)
+SHIP_TRACK_JOINED double ship_track_sin(double x)
 {
     return ship_track_wave(x, 0);
 }
 
-static double ship_track_cos(double x)
+SHIP_TRACK_JOINED double ship_track_cos(double x)
 {
     return ship_track_wave(x, 1);
 }
@@ -293,9 +299,9 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;
@@ -459,8 +465,22 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *mode_covaria
     return SHIP_TRACK_OK;
 }
 
+/* part 2; part 3. */
+SHIP_TRACK_INLINE void ship_track_part_4(const double *combined_0_1_share, const double *mean,
+    const double *mean_m1, double *combined_0_1_mean, double *apart_0)
+{
+    combined_0_1_mean[0] = (combined_0_1_share[0] * mean[0]) + (combined_0_1_share[1] * mean_m1[0]);
+    combined_0_1_mean[1] = (combined_0_1_share[0] * mean[1]) + (combined_0_1_share[1] * mean_m1[1]);
+    combined_0_1_mean[2] = (combined_0_1_share[0] * mean[2]) + (combined_0_1_share[1] * mean_m1[2]);
+    combined_0_1_mean[3] = (combined_0_1_share[0] * mean[3]) + (combined_0_1_share[1] * mean_m1[3]);
+    apart_0[0] = mean[0] - mean_m1[0];
+    apart_0[1] = mean[1] - mean_m1[1];
+    apart_0[2] = mean[2] - mean_m1[2];
+    apart_0[3] = mean[3] - mean_m1[3];
+}
+
 /* mixing and prediction of every mode; part 2. */
-SHIP_TRACK_INLINE void ship_track_part_4(const double *apart_0_1, double *apart_0_1_squared)
+SHIP_TRACK_INLINE void ship_track_part_5(const double *apart_0_1, double *apart_0_1_squared)
 {
     apart_0_1_squared[0] = apart_0_1[0] * apart_0_1[0];
     apart_0_1_squared[1] = apart_0_1[1] * apart_0_1[0];
@@ -474,27 +494,14 @@ SHIP_TRACK_INLINE void ship_track_part_4(const double *apart_0_1, double *apart_
     apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
 }
 
-/* part 2; part 3. */
-SHIP_TRACK_INLINE void ship_track_part_5(const double *combined_0_1_share, const double *mean,
-    const double *mean_m1, double *combined_0_1_mean)
-{
-    combined_0_1_mean[0] = (combined_0_1_share[0] * mean[0]) + (combined_0_1_share[1] * mean_m1[0]);
-    combined_0_1_mean[1] = (combined_0_1_share[0] * mean[1]) + (combined_0_1_share[1] * mean_m1[1]);
-}
-
 /* mixing and prediction of every mode; part 2. */
-SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
-    const double *mode_filtered_state, const double *mixed_0_0_2_share, double *mixed_0_0_2_mean,
+SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_2_share,
+    const double *mixed_0_0_1_mean, const double *mode_filtered_state, double *mixed_0_0_2_mean,
     const double *mixed_0_0_1_covariance, const double *covariance, double *mixed_0_0_2_covariance)
 {
     double mixed_0_0_2_apart[4];
-    mixed_0_0_2_apart[0] = mixed_0_0_1_mean[0] - mode_filtered_state[0];
-    mixed_0_0_2_apart[1] = mixed_0_0_1_mean[1] - mode_filtered_state[1];
-    mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
-    mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
-    ship_track_part_5(mixed_0_0_2_share, mixed_0_0_1_mean, mode_filtered_state, mixed_0_0_2_mean);
-    ship_track_part_5(mixed_0_0_2_share, &mixed_0_0_1_mean[2], &mode_filtered_state[2],
-        &mixed_0_0_2_mean[2]);
+    ship_track_part_4(mixed_0_0_2_share, mixed_0_0_1_mean, mode_filtered_state, mixed_0_0_2_mean,
+        mixed_0_0_2_apart);
     const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
     const double t1 = t0 + (mixed_0_0_2_share[1] * covariance[0]);
     const double t2 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
@@ -532,22 +539,17 @@ SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
 }
 
 /* combination; combined prediction. */
-SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *mean_m1,
-    const double *combined_0_1_share, const double *covariance, const double *covariance_2,
-    const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
+SHIP_TRACK_INLINE void ship_track_part_2(const double *combined_0_1_share, const double *mean_m0,
+    const double *mean_m1, const double *covariance, const double *covariance_2,
+    const double *combined_0_2_share, const double *mean_m2, double *combined_0_2_mean,
     const double *covariance_3, double *combined_0_2_covariance)
 {
+    double combined_0_1_mean[4];
     double apart_0_1[4];
     double apart_0_1_squared[10];
-    double combined_0_1_mean[4];
     double combined_0_1_covariance[10];
-    apart_0_1[0] = mean_m0[0] - mean_m1[0];
-    apart_0_1[1] = mean_m0[1] - mean_m1[1];
-    apart_0_1[2] = mean_m0[2] - mean_m1[2];
-    apart_0_1[3] = mean_m0[3] - mean_m1[3];
-    ship_track_part_4(apart_0_1, apart_0_1_squared);
-    ship_track_part_5(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean);
-    ship_track_part_5(combined_0_1_share, &mean_m0[2], &mean_m1[2], &combined_0_1_mean[2]);
+    ship_track_part_4(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean, apart_0_1);
+    ship_track_part_5(apart_0_1, apart_0_1_squared);
     const double t0 = combined_0_1_share[0] * covariance[0];
     const double t1 = t0 + (combined_0_1_share[1] * covariance_2[0]);
     const double t2 = combined_0_1_share[0] * combined_0_1_share[1];
@@ -579,7 +581,7 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
     const double t19 = combined_0_1_share[0] * covariance[9];
     const double t20 = t19 + (combined_0_1_share[1] * covariance_2[9]);
     combined_0_1_covariance[9] = t20 + (t2 * apart_0_1_squared[9]);
-    ship_track_part_3(combined_0_1_mean, mean_m2, combined_0_2_share, combined_0_2_mean,
+    ship_track_part_3(combined_0_2_share, combined_0_1_mean, mean_m2, combined_0_2_mean,
         combined_0_1_covariance, covariance_3, combined_0_2_covariance);
 }
 
@@ -625,53 +627,6 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *A, const d
     moved_covariance[7] = t22 + (t19 * A[1]) + (t21 * A[5]) + Q[3];
     moved_covariance[8] = (t19 * A[2]) + (t21 * A[6]);
     moved_covariance[9] = (t19 * A[3]) + (t21 * A[7]) + Q[7];
-}
-
-/* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mixed_0_1_share,
-    const double *mode_filtered_state, double *mixed_0_1_mean,
-    const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
-    double *mixed_0_1_covariance)
-{
-    const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
-    mixed_0_1_mean[0] = t0 + (mixed_0_1_share[1] * mode_filtered_state[4]);
-    const double t1 = mixed_0_1_share[0] * mode_filtered_state[1];
-    mixed_0_1_mean[1] = t1 + (mixed_0_1_share[1] * mode_filtered_state[5]);
-    const double t2 = mixed_0_1_share[0] * mode_filtered_state[2];
-    mixed_0_1_mean[2] = t2 + (mixed_0_1_share[1] * mode_filtered_state[6]);
-    const double t3 = mixed_0_1_share[0] * mode_filtered_state[3];
-    mixed_0_1_mean[3] = t3 + (mixed_0_1_share[1] * mode_filtered_state[7]);
-    const double t4 = mixed_0_1_share[0] * mode_filtered_covariance[0];
-    const double t5 = t4 + (mixed_0_1_share[1] * mode_filtered_covariance[10]);
-    const double t6 = mixed_0_1_share[0] * mixed_0_1_share[1];
-    mixed_0_1_covariance[0] = t5 + (t6 * mixed_apart_0_1_squared[0]);
-    const double t7 = mixed_0_1_share[0] * mode_filtered_covariance[1];
-    const double t8 = t7 + (mixed_0_1_share[1] * mode_filtered_covariance[11]);
-    mixed_0_1_covariance[1] = t8 + (t6 * mixed_apart_0_1_squared[1]);
-    const double t9 = mixed_0_1_share[0] * mode_filtered_covariance[2];
-    const double t10 = t9 + (mixed_0_1_share[1] * mode_filtered_covariance[12]);
-    mixed_0_1_covariance[2] = t10 + (t6 * mixed_apart_0_1_squared[2]);
-    const double t11 = mixed_0_1_share[0] * mode_filtered_covariance[3];
-    const double t12 = t11 + (mixed_0_1_share[1] * mode_filtered_covariance[13]);
-    mixed_0_1_covariance[3] = t12 + (t6 * mixed_apart_0_1_squared[3]);
-    const double t13 = mixed_0_1_share[0] * mode_filtered_covariance[4];
-    const double t14 = t13 + (mixed_0_1_share[1] * mode_filtered_covariance[14]);
-    mixed_0_1_covariance[4] = t14 + (t6 * mixed_apart_0_1_squared[4]);
-    const double t15 = mixed_0_1_share[0] * mode_filtered_covariance[5];
-    const double t16 = t15 + (mixed_0_1_share[1] * mode_filtered_covariance[15]);
-    mixed_0_1_covariance[5] = t16 + (t6 * mixed_apart_0_1_squared[5]);
-    const double t17 = mixed_0_1_share[0] * mode_filtered_covariance[6];
-    const double t18 = t17 + (mixed_0_1_share[1] * mode_filtered_covariance[16]);
-    mixed_0_1_covariance[6] = t18 + (t6 * mixed_apart_0_1_squared[6]);
-    const double t19 = mixed_0_1_share[0] * mode_filtered_covariance[7];
-    const double t20 = t19 + (mixed_0_1_share[1] * mode_filtered_covariance[17]);
-    mixed_0_1_covariance[7] = t20 + (t6 * mixed_apart_0_1_squared[7]);
-    const double t21 = mixed_0_1_share[0] * mode_filtered_covariance[8];
-    const double t22 = t21 + (mixed_0_1_share[1] * mode_filtered_covariance[18]);
-    mixed_0_1_covariance[8] = t22 + (t6 * mixed_apart_0_1_squared[8]);
-    const double t23 = mixed_0_1_share[0] * mode_filtered_covariance[9];
-    const double t24 = t23 + (mixed_0_1_share[1] * mode_filtered_covariance[19]);
-    mixed_0_1_covariance[9] = t24 + (t6 * mixed_apart_0_1_squared[9]);
 }
 
 /* mode 2: with its own A, Q: innovation, row by row; mode 0: the model: innovation, row by row. */
@@ -735,6 +690,44 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double *y, const d
     return SHIP_TRACK_OK;
 }
 
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mixed_0_1_share,
+    const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
+    double *mixed_0_1_covariance)
+{
+    const double t0 = mixed_0_1_share[0] * mode_filtered_covariance[0];
+    const double t1 = t0 + (mixed_0_1_share[1] * mode_filtered_covariance[10]);
+    const double t2 = mixed_0_1_share[0] * mixed_0_1_share[1];
+    mixed_0_1_covariance[0] = t1 + (t2 * mixed_apart_0_1_squared[0]);
+    const double t3 = mixed_0_1_share[0] * mode_filtered_covariance[1];
+    const double t4 = t3 + (mixed_0_1_share[1] * mode_filtered_covariance[11]);
+    mixed_0_1_covariance[1] = t4 + (t2 * mixed_apart_0_1_squared[1]);
+    const double t5 = mixed_0_1_share[0] * mode_filtered_covariance[2];
+    const double t6 = t5 + (mixed_0_1_share[1] * mode_filtered_covariance[12]);
+    mixed_0_1_covariance[2] = t6 + (t2 * mixed_apart_0_1_squared[2]);
+    const double t7 = mixed_0_1_share[0] * mode_filtered_covariance[3];
+    const double t8 = t7 + (mixed_0_1_share[1] * mode_filtered_covariance[13]);
+    mixed_0_1_covariance[3] = t8 + (t2 * mixed_apart_0_1_squared[3]);
+    const double t9 = mixed_0_1_share[0] * mode_filtered_covariance[4];
+    const double t10 = t9 + (mixed_0_1_share[1] * mode_filtered_covariance[14]);
+    mixed_0_1_covariance[4] = t10 + (t2 * mixed_apart_0_1_squared[4]);
+    const double t11 = mixed_0_1_share[0] * mode_filtered_covariance[5];
+    const double t12 = t11 + (mixed_0_1_share[1] * mode_filtered_covariance[15]);
+    mixed_0_1_covariance[5] = t12 + (t2 * mixed_apart_0_1_squared[5]);
+    const double t13 = mixed_0_1_share[0] * mode_filtered_covariance[6];
+    const double t14 = t13 + (mixed_0_1_share[1] * mode_filtered_covariance[16]);
+    mixed_0_1_covariance[6] = t14 + (t2 * mixed_apart_0_1_squared[6]);
+    const double t15 = mixed_0_1_share[0] * mode_filtered_covariance[7];
+    const double t16 = t15 + (mixed_0_1_share[1] * mode_filtered_covariance[17]);
+    mixed_0_1_covariance[7] = t16 + (t2 * mixed_apart_0_1_squared[7]);
+    const double t17 = mixed_0_1_share[0] * mode_filtered_covariance[8];
+    const double t18 = t17 + (mixed_0_1_share[1] * mode_filtered_covariance[18]);
+    mixed_0_1_covariance[8] = t18 + (t2 * mixed_apart_0_1_squared[8]);
+    const double t19 = mixed_0_1_share[0] * mode_filtered_covariance[9];
+    const double t20 = t19 + (mixed_0_1_share[1] * mode_filtered_covariance[19]);
+    mixed_0_1_covariance[9] = t20 + (t2 * mixed_apart_0_1_squared[9]);
+}
+
 /* innovation of the mixture. */
 SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const double
     whitening_pivot_combined, double *whitening_inverse_combined, int row_0)
@@ -745,6 +738,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const
         whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
     }
     return SHIP_TRACK_OK;
+}
+
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mixed_0_1_share,
+    const double *mode_filtered_state, double *mixed_0_1_mean)
+{
+    const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
+    mixed_0_1_mean[0] = t0 + (mixed_0_1_share[1] * mode_filtered_state[4]);
+    const double t1 = mixed_0_1_share[0] * mode_filtered_state[1];
+    mixed_0_1_mean[1] = t1 + (mixed_0_1_share[1] * mode_filtered_state[5]);
 }
 
 /* innovation of the mixture. */
@@ -926,9 +929,9 @@ SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability
     double mixed_0_0_2_share[2];
     double mixed_0_0_1_inverse;
     double mixed_0_0_1_share[2];
+    double mixed_0_0_1_mean[4];
     double mixed_apart_0_1[4];
     double mixed_apart_0_1_squared[10];
-    double mixed_0_0_1_mean[4];
     double mixed_0_0_1_covariance[10];
     double mixed_0_0_2_mean[4];
     double mixed_0_0_2_covariance[10];
@@ -937,8 +940,8 @@ SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability
     double mixed_1_0_1_mean[4];
     double mixed_1_0_1_covariance[10];
     double mixed_2_0_2_share[2];
-    double mixed_2_0_2_apart[4];
     double mixed_2_0_2_mean[4];
+    double mixed_2_0_2_apart[4];
     double mixed_2_0_2_covariance[10];
 
     /* law of the next mode, and mixing weights */
@@ -971,14 +974,17 @@ SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability
     mixed_0_0_1_inverse = 1.0 / (mixing_0[0] + mixing_0[1] + SHIP_TRACK_TINY);
     mixed_0_0_1_share[0] = mixing_0[0] * mixed_0_0_1_inverse;
     mixed_0_0_1_share[1] = mixing_0[1] * mixed_0_0_1_inverse;
+    ship_track_mixing_and_prediction_3(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean);
+    ship_track_mixing_and_prediction_3(mixed_0_0_1_share, &mode_filtered_state[2],
+        &mixed_0_0_1_mean[2]);
     mixed_apart_0_1[0] = mode_filtered_state[0] - mode_filtered_state[4];
     mixed_apart_0_1[1] = mode_filtered_state[1] - mode_filtered_state[5];
     mixed_apart_0_1[2] = mode_filtered_state[2] - mode_filtered_state[6];
     mixed_apart_0_1[3] = mode_filtered_state[3] - mode_filtered_state[7];
-    ship_track_part_4(mixed_apart_0_1, mixed_apart_0_1_squared);
-    ship_track_mixing_and_prediction_2(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
-        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
-    ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
+    ship_track_part_5(mixed_apart_0_1, mixed_apart_0_1_squared);
+    ship_track_mixing_and_prediction_2(mixed_0_0_1_share, mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_0_0_1_covariance);
+    ship_track_part_3(mixed_0_0_2_share, mixed_0_0_1_mean, &mode_filtered_state[8],
         mixed_0_0_2_mean, mixed_0_0_1_covariance, &mode_filtered_covariance[20],
         mixed_0_0_2_covariance);
     moved_state_0[0] = mixed_0_0_2_mean[0] + (params->dt * mixed_0_0_2_mean[2]);
@@ -1007,16 +1013,15 @@ SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability
     mixed_1_0_1_inverse = 1.0 / (t9 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
     mixed_1_0_1_share[0] = path_share_1[0] * path_share_inverse_1 * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = path_share_1[1] * path_share_inverse_1 * mixed_1_0_1_inverse;
-    ship_track_mixing_and_prediction_2(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
-        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    ship_track_mixing_and_prediction_3(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean);
+    ship_track_mixing_and_prediction_3(mixed_1_0_1_share, &mode_filtered_state[2],
+        &mixed_1_0_1_mean[2]);
+    ship_track_mixing_and_prediction_2(mixed_1_0_1_share, mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
     ship_track_mixing_and_prediction(A, mixed_1_0_1_mean, moved_state_1, mixed_1_0_1_covariance,
         &Q[8], moved_covariance_1);
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
-    mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
-    mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
-    mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
-    mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
     const double t10 = mixed_2_0_2_share[0] * mode_filtered_state[0];
     mixed_2_0_2_mean[0] = t10 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
     const double t11 = mixed_2_0_2_share[0] * mode_filtered_state[1];
@@ -1025,6 +1030,10 @@ SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability
     mixed_2_0_2_mean[2] = t12 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
     const double t13 = mixed_2_0_2_share[0] * mode_filtered_state[3];
     mixed_2_0_2_mean[3] = t13 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
+    mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
+    mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
+    mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
+    mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
     const double t14 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
     const double t15 = t14 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
     const double t16 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
@@ -1214,8 +1223,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + SHIP_TRACK_TINY);
     combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
     combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
-    ship_track_part_2(mean_m0, mean_m1, combined_0_1_share, covariance_m0, covariance_m1, mean_m2,
-        combined_0_2_share, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
+    ship_track_part_2(combined_0_1_share, mean_m0, mean_m1, covariance_m0, covariance_m1,
+        combined_0_2_share, mean_m2, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
     if (!ship_track_finite((ship_track_defect(combined_0_2_mean[0]) +
         ship_track_defect(combined_0_2_mean[1])) + (ship_track_defect(combined_0_2_mean[2]) +
         ship_track_defect(combined_0_2_mean[3]))))
@@ -1357,8 +1366,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     predicted_0_1_inverse = 1.0 / (mode_prediction_0 + mode_prediction_1 + SHIP_TRACK_TINY);
     predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
     predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
-    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
-        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
+    ship_track_part_2(predicted_0_1_share, moved_state_0, moved_state_1, moved_covariance_0,
+        moved_covariance_1, predicted_0_2_share, moved_state_2, predicted_0_2_mean,
         moved_covariance_2, predicted_0_2_covariance);
     const double t15 = ship_track_log(mode_prediction_0);
     const double t16 = log_path_largest_1 + ship_track_log(path_share_total_1);
@@ -1558,24 +1567,30 @@ ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_para
 ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid)
 {
-    ship_track_t next;
-    ship_track_t prior;
     uint32_t present;
-    const ship_track_t *latest = self;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        ship_track_reopen(self, &prior);
-        latest = &prior;
+        ship_track_t next;
+        status = ship_track_renew(self, y, present, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        status = ship_track_propagate(&next, params, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
     }
-    status = ship_track_correct(latest, y, present, &next);
-    if (status != SHIP_TRACK_OK) { return status; }
-    status = ship_track_propagate(&next, params, &next);
-    if (status != SHIP_TRACK_OK) { return status; }
-    next.updated = 0.0;
-    *self = next;
+    else
+    {
+        ship_track_t next;
+        status = ship_track_correct(self, y, present, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        status = ship_track_propagate(&next, params, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        next.updated = 0.0;
+        *self = next;
+    }
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }

@@ -141,9 +141,9 @@ static int soft_fault_dfcf_present_rows(const double *y, uint32_t valid, uint32_
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;

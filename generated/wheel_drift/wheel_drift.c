@@ -153,9 +153,9 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
         {
             *present |= bit;
         }
-        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        else if ((y[i] > 0.0) || (y[i] < 0.0))
         {
-            return 0;
+            return 0; /* NaN is neither */
         }
     }
     return 1;

@@ -38,6 +38,17 @@ CONSTANT_RATE_OF_X = {
 }
 
 
+#: A chain of neighbours, each of which pulls at the next, seen at one end.
+LADDER = {
+    "A": (0.8 * np.eye(6) + 0.1 * np.eye(6, k=1) - 0.1 * np.eye(6, k=-1)).tolist(),
+    "C": np.eye(2, 6).tolist(),
+    "Q": (0.1 * np.eye(6)).tolist(),
+    "R": np.eye(2).tolist(),
+    "x0": [1.0, -1.0, 0.5, 0.0, 2.0, 0.0],
+    "P0": np.eye(6).tolist(),
+}
+
+
 @cache
 def specs(scalar="double"):
     """Specs by name."""
@@ -54,6 +65,8 @@ def specs(scalar="double"):
         "kf_arithmetic": spec(CONSTANT_RATE_OF_X, family="kf", parameters=arithmetic, code=code),
         "kf_exact": spec(EXACT, family="kf", code=code),
         "kf_wide": spec(WIDE, family="kf", code=code),
+        "kf_dense": spec(random_model(75, 9, 5, correlated=True), family="kf", code=code),
+        "kf_sparse": spec(LADDER, family="kf", code=code | {"form": "loops"}),
         "dfcf": soft(TWO_ALONE, host=[1], window=2, code=code),
         "dfcf_joseph": soft(TWO_ALONE, window=3, reacquire=1, code=code | {"update": "joseph"}),
         "dfcf_groups": soft(THREE_ALONE, window=3, groups=[[2], [1]], reacquire=2, code=code),

@@ -30,7 +30,8 @@ def moved_before_mixing(builder, filtering, modes, law):
     parts = filtering.filtered()
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
-        state, packed, _ = propagate(each, certain(symbols["u"]), Posterior(*part))
+        inputs, own = certain(symbols["u"]), Posterior(*part)
+        state, packed, _ = propagate(builder, each, inputs, own, f"_{i}")
         left.append((builder.define(f"left_{i}", state), builder.define(f"left_P_{i}", packed)))
     mixer = merge.Mixer(builder, "mixed", left, "double")
     mixed = [
@@ -97,8 +98,8 @@ def test_mistake_modes_taken_for_equal_that_differ(letter, name, monkeypatch):
 
 
 def test_mistake_offsets_forgotten(monkeypatch):
-    def without(each, inputs, posterior):
-        return propagate(replace(each, c=0 * each.c), inputs, posterior)
+    def without(builder, each, *others):
+        return propagate(builder, replace(each, c=0 * each.c), *others)
 
     monkeypatch.setattr(switching, "propagate", without)
     assert BAYES in refusals(recursion(plant("offsets", **KNOWN)))

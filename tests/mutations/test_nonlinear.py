@@ -14,7 +14,7 @@ from fkgen.estimators.lmmse import kalman
 from fkgen.estimators.nonlinear import iterated, unscented
 from fkgen.estimators.nonlinear.unscented import Points
 from fkgen.symbolic import plant as plants
-from fkgen.symbolic.linearise import moved_from, seen_from
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 
 FAMILIES = ("ekf", "iekf", "ukf")
 DERIVED = ("ekf", "iekf")

@@ -259,9 +259,9 @@ def test_mistake_in_the_chain(mistake, law, monkeypatch):
 def test_mistake_m3_not_propagated(law, monkeypatch):
     right, calls = propagate, []
 
-    def stuck(plant, inputs, posterior):
+    def stuck(builder, plant, inputs, posterior, *tag):
         calls.append(posterior)
-        moved = right(plant, inputs, posterior)
+        moved = right(builder, plant, inputs, posterior, *tag)
         if len(calls) == len(law.get("kernel", [0] * 3)):  # the last mode before the whole
             return posterior.state, posterior.covariance, moved[2]
         return moved

@@ -12,11 +12,18 @@ from dataclasses import dataclass, replace
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.backend.lanes.wanted import needless_logarithms
-from fkgen.backend.printer import StatementPrinter
+from fkgen.backend.printer import StatementPrinter, step_of
 from fkgen.errors import InternalError
+from fkgen.symbolic.index import Index
 from fkgen.symbolic.interface import Kind
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
+
+
+#: Which argument of fma() has the other sign.
+_TURNED = {Operator.FMA: None, Operator.FMS: 2, Operator.FNMA: 0}
+#: Columns of a product whose sums stand in registers at once.
+SIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +56,16 @@ class LanesPrinter(StatementPrinter):
 
     def lane(self, node: ir.Statement, branch: Branch) -> str:
         """One statement as C."""
-        method = getattr(self, f"_{type(node).__name__.lower()}", None)
+        method = getattr(self, f"lane_{type(node).__name__.lower()}", None)
         if method is None:
             raise InternalError(f"no lanes for {node}")
         text: str = method(node, branch)
         return text
 
-    def _heading(self, node: ir.Heading, _: Branch) -> str:
+    def lane_heading(self, node: ir.Heading, _: Branch) -> str:
         return f"/* {node.text} */"
 
-    def _operate(self, node: ir.Operate, _: Branch) -> str:
+    def lane_operate(self, node: ir.Operate, _: Branch) -> str:
         value = self.computed(node.operator, node.arguments)
         if ports := self.needless.get(node.target):
             places = [i for i, port in enumerate(self.program.ports) if port.name in ports]
@@ -66,16 +73,19 @@ class LanesPrinter(StatementPrinter):
             value = f"({asked}) ? {value} : {self.name}_positive({self.vector(node.arguments[0])})"
         return f"const {self.lane_type} {self.operand(node.target)} = {value};"
 
-    def _copy(self, node: ir.Copy, _: Branch) -> str:
+    def lane_copy(self, node: ir.Copy, _: Branch) -> str:
         return f"const {self.lane_type} {self.operand(node.target)} = {self.vector(node.value)};"
 
-    def _assign(self, node: ir.Assign, branch: Branch) -> str:
-        target, value = self.operand(node.target), self.vector(node.value)
+    def lane_assign(self, node: ir.Assign, branch: Branch) -> str:
+        return self._stored(self.operand(node.target), self.vector(node.value), branch)
+
+    def _stored(self, target: str, value: str, branch: Branch) -> str:
+        """An assignment; lanes that do not take the branch keep what they have."""
         if branch.mask:
             value = f"{self.name}_select({branch.mask}, {value}, {target})"
         return f"{target} = {value};"
 
-    def _require(self, node: ir.Require, branch: Branch) -> str:
+    def lane_require(self, node: ir.Require, branch: Branch) -> str:
         """Mark the lanes that refuse; numbers have to be finite where their sum is."""
         values = [self.vector(value) for value in node.values]
         if node.kind is Kind.FINITE:
@@ -86,13 +96,13 @@ class LanesPrinter(StatementPrinter):
         inside = f"{branch.mask} & " if branch.mask else ""
         return "\n".join(f"bad |= {inside}~{test};" for test in tests)
 
-    def _ifpresent(self, node: ir.IfPresent, branch: Branch) -> str:
+    def lane_ifpresent(self, node: ir.IfPresent, branch: Branch) -> str:
         if isinstance(node.row, ir.RowArgument):
             raise InternalError("a row of a routine in a program")
         mask = "any_row" if node.row is None else f"present[{node.row}]"
         return self._under(mask, node.body, branch)
 
-    def _ifpositive(self, node: ir.IfPositive, branch: Branch) -> str:
+    def lane_ifpositive(self, node: ir.IfPositive, branch: Branch) -> str:
         mask = f"({self.mask_type})({self.vector(node.value)} > {self.literal(0.0)})"
         return self._under(mask, node.body, branch)
 
@@ -108,9 +118,49 @@ class LanesPrinter(StatementPrinter):
         asked = textwrap.indent("\nelse ".join(ways), "    ")
         return f"{{\n    const {self.mask_type} {name} = {both};\n{asked}\n}}"
 
-    def _for(self, node: ir.For, branch: Branch) -> str:
+    def lane_for(self, node: ir.For, branch: Branch) -> str:
         head = f"for (int {node.index} = {node.begin}; {node.index} < {node.end}; ++{node.index})"
         return f"{head}\n{{\n{self.body(node.body, branch)}\n}}"
+
+    def lane_triangle(self, node: ir.Triangle, branch: Branch) -> str:
+        """Copy a triangle, and its mirror image."""
+        source = self.vector(node.source)
+        targets = [node.target, *([_turned(node.target)] if node.mirrored else [])]
+        lines = [self._stored(self.operand(each), source, branch) for each in targets]
+        return _loop("i", str(node.size), [_loop("j", "i + 1", lines)])
+
+    def lane_product(self, node: ir.Product, branch: Branch) -> str:
+        """Sums of several columns side by side, each one chain in ascending order of k."""
+        end = "i + 1" if node.lower else str(node.columns)
+        rows = ["int j = 0;"]
+        for side in (SIDE, 1):
+            lines = self._sums(node, side, branch)
+            rows += [f"for (; j + {side} <= {end}; j += {side})", *_braced(lines)]
+        return _loop("i", str(node.rows), rows)
+
+    def _sums(self, node: ir.Product, side: int, branch: Branch) -> list[str]:
+        """The sums of columns j, j + 1 and so on."""
+        columns = range(side)
+        first = node.start is None
+        right = [_column(node.right, c) for c in columns]
+        lines = [f"{self.lane_type} s{c};" for c in columns]
+        terms = [f"s{c} = factor * {self.vector(right[c])};" for c in columns]
+        factor = f"const {self.lane_type} factor = {self.vector(node.left)};"
+        if node.start is None:
+            lines += _braced(["const int k = 0;", factor, *terms])
+        else:
+            lines += [f"s{c} = {self.vector(_column(node.start, c))};" for c in columns]
+        adding = {
+            Operator.ADD: "s{c} = s{c} + factor * {r};",
+            Operator.SUB: "s{c} = s{c} - factor * {r};",
+            Operator.FMA: "s{c} = {n}_lane_fma(factor, {r}, s{c});",
+            Operator.FNMA: "s{c} = {n}_lane_fma(-factor, {r}, s{c});",
+        }[node.adding]
+        links = [adding.format(c=c, r=self.vector(right[c]), n=self.name) for c in columns]
+        lines.append(f"for (int k = {int(first)}; k < {node.inner}; ++k)")
+        lines += _braced([factor, *links])
+        targets = [self.operand(_column(node.target, c)) for c in columns]
+        return lines + [self._stored(to, f"s{c}", branch) for c, to in enumerate(targets)]
 
     @property
     def lane_type(self) -> str:
@@ -141,18 +191,46 @@ class LanesPrinter(StatementPrinter):
 
     def computed(self, operator: Operator, arguments: tuple[ir.Operand, ...]) -> str:
         """An operation over all lanes."""
-        a = [self.vector(argument) for argument in arguments]
+        a, zero = [self.vector(argument) for argument in arguments], self.literal(0.0)
         match operator:
             case _ if operator in _INFIX:
                 mixed = [self.operand(argument) for argument in arguments]
                 one, other = mixed if not all(map(self.is_same, arguments)) else a
-                return f"{one} {_INFIX[operator]} {other}"
+                text = f"{one} {_INFIX[operator]} {other}"
+            case _ if operator in ir.FUSED:
+                if (turned := _TURNED[operator]) is not None:
+                    a[turned] = f"-{a[turned]}"
+                text = f"{self.name}_lane_fma({', '.join(a)})"
             case Operator.NEG:
-                return f"-{a[0]}"
+                text = f"-{a[0]}"
             case Operator.LT | Operator.LE:
                 test = f"({self.mask_type})({a[0]} {operator.value} {a[1]})"
-                return f"{self.name}_where({test}, {self.name}_all({self.literal(1.0)}))"
+                text = f"{self.name}_where({test}, {self.name}_all({self.literal(1.0)}))"
             case Operator.IF_ELSE_ZERO:
-                test = f"({self.mask_type})({a[0]} > {self.literal(0.0)})"
-                return f"{self.name}_where({test}, {a[1]})"
-        return f"{self.name}_lane_{operator.value}({', '.join(a)})"
+                text = f"{self.name}_where(({self.mask_type})({a[0]} > {zero}), {a[1]})"
+            case _:
+                text = f"{self.name}_lane_{operator.value}({', '.join(a)})"
+        return text
+
+
+def _column(element: Element, by: int) -> Element:
+    """The element some columns on."""
+    return element.shifted(by * step_of(element, "j"))
+
+
+def _turned(element: Element) -> Element:
+    """The element in the mirror of the diagonal."""
+    if not isinstance(element.index, Index):
+        return element
+    other = {"i": "j", "j": "i"}
+    terms = sorted((other.get(name, name), a, b) for name, a, b in element.index.terms)
+    return replace(element, index=replace(element.index, terms=tuple(terms)))
+
+
+def _braced(lines: list[str]) -> list[str]:
+    return ["{", *(f"    {line}" for line in lines), "}"]
+
+
+def _loop(index: str, end: str, lines: list[str]) -> str:
+    inside = "\n".join(lines).split("\n")
+    return "\n".join([f"for (int {index} = 0; {index} < {end}; ++{index})", *_braced(inside)])

@@ -1,6 +1,6 @@
 """Leave out tests of numbers that are finite if another tested number is.
 
-A sum, a difference or a product is finite only if both of its parts are, a quotient only if what is
+A sum, a difference or a product is finite only if all of its parts are, a quotient only if what is
 divided is: an innovation that is not finite shows in the likelihood. What a condition may have left
 alone is known on one of the two ways only, and known at all where it is on both. A sample is
 refused for the same reason as before: a test may rely on those that come with it, with no test for
@@ -24,6 +24,7 @@ _SPREADING = frozenset(
     {
         *(Operator.ADD, Operator.SUB, Operator.MUL, Operator.NEG, Operator.ABS),
         *(Operator.SQRT, Operator.LOG),
+        *ir.FUSED,
     }
 )
 
@@ -103,6 +104,17 @@ class _Trace:
                     self.stage += 1
                 case ir.IfPresent() | ir.IfPositive():
                     self._branch(node)
+                case ir.For() | ir.Product() | ir.Triangle():
+                    self._forget(node)
+
+    def _forget(self, node: ir.For | ir.OfMatrices) -> None:
+        """Arrays that loops or products write hold other numbers afterwards."""
+        kinds = ir.Assign, ir.Product, ir.Triangle
+        nodes = [node, *(ir.walk(node.body) if isinstance(node, ir.For) else ())]
+        written = {(e.target.space, e.target.name) for e in nodes if isinstance(e, kinds)}
+        for each in [e for e in self.latest if isinstance(e, Element)]:
+            if (each.space, each.name) in written:
+                del self.latest[each]
 
     def _branch(self, node: ir.IfPresent | ir.IfPositive) -> None:
         """Statements that run or not: what they assign is one of two numbers afterwards."""

@@ -55,7 +55,13 @@ class _Pruning:
                 left = replace(node, body=body) if body else None
             case ir.For():
                 left = self.loop(node)
-            case ir.Operate(target) | ir.Copy(target) | ir.Assign(target):
+            case (
+                ir.Operate(target)
+                | ir.Copy(target)
+                | ir.Assign(target)
+                | ir.Product(target)
+                | ir.Triangle(target)
+            ):
                 left = node if self._is_needed(target) or self._is_result(target) else None
         if left is not None:
             read = ir.operands(left)

@@ -49,6 +49,7 @@ class Measurement:
     S: ca.SX | None = None  # (m, p), covariance of z with w, if it has any
     predicted: ca.SX | None = None  # (p, 1), what is predicted of y in place of C z
     wraps: tuple[int, ...] = ()  # Rows that are angles
+    code_form: str = "auto"  # Of the C code, as that of a plant
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""

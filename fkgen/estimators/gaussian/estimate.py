@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
+from fkgen.estimators.gaussian.blocked import moved_covariance, moved_mean
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
 from fkgen.estimators.gaussian.rows import Form
@@ -186,13 +187,21 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
         shows_variance=plant.shows_variance,
         pivots_per_log=1 if plant.wide else PIVOTS_PER_LOG[plant.scalar],
+        code_form=plant.code_form,
     )
 
 
 def propagate(
-    plant: Plant, actuation: Actuation, posterior: Posterior
+    builder: PhaseBuilder,
+    plant: Plant,
+    actuation: Actuation,
+    posterior: Posterior,
+    tag: str = "",
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
+    """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12).
+
+    Where products of whole matrices are loops they are written right here, under this ``tag``.
+    """
     n, moved = plant.ne, moved_by_noise(plant)
     B, Q = plant.B @ actuation.through, ca.SX(plant.Q)
     if moved:  # their noise is part of what was estimated
@@ -202,6 +211,17 @@ def propagate(
         state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     spread = ca.SX.zeros(len(triangle(n))) if plant.spread is None else plant.spread
+    if posterior.deviation.numel() == 0 and plant.code_form == "loops":
+        noise = pack(plant.Q) + spread
+        if actuation.size:
+            noise += congruence(B, actuation.covariance)
+        with builder.titled("products with A"):
+            if plant.moved is None:
+                state = moved_mean(builder, plant.A, posterior.state, tag)
+                state += plant.B @ actuation.mean + plant.c
+            Q = unpack(noise, n)
+            covariance = moved_covariance(builder, plant.A, Q, posterior.covariance, tag)
+        return state, covariance, plant.A
     if posterior.deviation.numel() == 0:
         carried = congruence if plant.moved is None else least_congruence
         covariance = carried(plant.A, P) + pack(plant.Q) + spread

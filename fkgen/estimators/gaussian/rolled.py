@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import casadi as ca
@@ -18,6 +18,7 @@ from fkgen.estimators.gaussian.decorrelation import Measurement, Row, are_many
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.dense import fill
 from fkgen.symbolic.index import At, Index, Whole, packed, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, pack
@@ -33,6 +34,8 @@ DENSER, SPARSE = 1.5, 6.0
 def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     """Whether conditioning on these rows is written in loops."""
     (p, m), at, R = measurement.C.shape, measurement.at, measurement.R
+    if measurement.code_form == "straight":
+        return False
     if p < 2 or len({b - a for a, b in pairwise(at)}) > 1:
         return False  # rows of y without a rule
     coupled = max(R.nnz() / p - 1.0, 0.0)
@@ -66,10 +69,11 @@ class Arrays:
     measurement: Measurement
     tag: str
     with_gain: bool
+    known: dict[str, str] = field(default_factory=dict)  # Tables that are there under another name
 
     def name(self, what: str) -> str:
         """The variable of an array."""
-        return f"rows_{what}{self.tag}"
+        return self.known.get(what, f"rows_{what}{self.tag}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -112,22 +116,8 @@ class Arrays:
 
     def fill(self, what: str, values: Sequence[ca.SX], *, changes: bool = True) -> None:
         """Declare an array of these values; one of constants that never changes is a table."""
-        builder, name, size = self.builder, self.name(what), len(values)
-        known = [value.is_constant() for value in values]
-        numbers = [float(v) if k else 0.0 for v, k in zip(values, known, strict=True)]
-        if all(known) and not changes:
-            builder.table(name, numbers)
-            return
-        builder.local(name, size)
-        if any(known):
-            builder.table(f"{name}_0", numbers)
-            with builder.loop("i", 0, size) as i:
-                builder.assign({At(name, i): builder.at(f"{name}_0", i)})
-        rest = {At(name, k): value for k, value in enumerate(values) if not known[k]}
-        if len(rest) == size:
-            builder.assign({name: column(list(values))})
-        elif rest:
-            builder.assign(rest)
+        name = self.name(what)
+        self.known[what] = fill(self.builder, name, values, changes=changes)
 
     def fill_all(self, innovation: list[ca.SX]) -> None:
         """Declare and fill every array that loops start from."""

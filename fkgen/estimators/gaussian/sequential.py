@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
+from fkgen.estimators.gaussian.blocked import BlockedUpdate, is_blocked
 from fkgen.estimators.gaussian.decorrelation import Decorrelation, Measurement
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rolled import Arrays, is_rolled, taken_in_loops
@@ -55,8 +56,17 @@ def condition(
 
     An ``innovation`` that is there already is zero where its row is missing.
     """
-    innovation = innovation or innovations(builder, prior[0], measurement, tag)
     by_row = gate if gate is not None and not gate.together else None
+    if is_blocked(measurement):
+        blocked = BlockedUpdate(
+            builder=builder, measurement=measurement, prior=prior, tag=tag, gate=by_row
+        )
+        if innovation is None and measurement.predicted is None:
+            measurement = replace(measurement, predicted=blocked.expected())
+        innovation = innovation or innovations(builder, prior[0], measurement, tag)
+        found = _together(blocked, innovation, form, with_gain=with_gain)
+        return found if gate is None or by_row else _gated(builder, gate, found, prior)
+    innovation = innovation or innovations(builder, prior[0], measurement, tag)
     update: SequentialUpdate
     if is_rolled(measurement, with_gain=with_gain):
         arrays = Arrays(builder, measurement, tag, with_gain=with_gain)
@@ -77,6 +87,43 @@ def condition(
         rejected=update.rejected,
     )
     return found if gate is None or by_row else _gated(builder, gate, found, prior)
+
+
+def _together(
+    update: BlockedUpdate, innovation: list[ca.SX], form: Form, *, with_gain: bool
+) -> Conditioned:
+    """The prior with all rows, in products of matrices."""
+    builder, (p, m) = update.builder, update.measurement.C.shape
+    with builder.titled("covariance of the innovation"):
+        S = update.innovation_covariance()
+    with builder.titled("every row out of the rows below"):
+        update.eliminate(innovation)
+    gain = update.gain() if with_gain or form == "joseph" else None
+    with builder.titled("all rows together"):
+        covariance = update.joseph(gain) if form == "joseph" and gain else update.short()
+        mean = update.mean()
+    chunks = -(-p // update.measurement.pivots_per_log)
+    determinant = [ca.SX(1)] * chunks
+    for at, pivot in enumerate(update.pivots):
+        determinant[at * chunks // p] *= pivot
+    K = None
+    if gain is not None and with_gain:
+        K = ca.SX(m, p)
+        for i in range(m):
+            for j in range(p):
+                place = gain.at(j, i)
+                K[i, j] = builder.at(place.name, place.index)
+    return Conditioned(
+        mean=mean,
+        covariance=covariance,
+        innovation=column(innovation),
+        innovation_covariance=S,
+        nis=update.nis,
+        log_likelihood=-0.5
+        * (update.nis + total([update.log_constant, *map(ca.log, determinant)])),
+        gain=K,
+        rejected=update.rejected,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,7 +129,7 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], at_rest: AtRest) -> Phase:
     builder = PhaseBuilder(symbols)
     plant = bound(builder, plant, "ABc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
-    state, _, _ = propagate(plant, certain(symbols["u"]), filtered)
+    state, _, _ = propagate(builder, plant, certain(symbols["u"]), filtered)
     if plant.S.nnz():
         state = state + symbols["noise_mean"]
     covariance = _packed(at_rest.predicted)

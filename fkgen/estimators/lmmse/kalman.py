@@ -35,8 +35,8 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import sparse
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -179,7 +179,7 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             deviation_covariance=symbols[own],
             cross_covariance=from_rows(symbols[cross], r),
         )
-    state, covariance, through = propagate(plant, actuation, posterior)
+    state, covariance, through = propagate(builder, plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}
     if with_gain:
         gain = from_rows(symbols["filtered_gain"], plant.ne)

@@ -316,7 +316,7 @@ def _predict(design: UncertainFilter) -> Phase:
     plant = bound(builder, design.plant, "ABQc")
     inputs = certain(symbols["u"])
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
-    state, covariance, _ = propagate(plant, inputs, filtered)
+    state, covariance, _ = propagate(builder, plant, inputs, filtered)
     second = unpack(symbols["state_second_moment"], n)
     moved = congruence(plant.A, second) + pack(plant.Q)
     assign = {

@@ -35,8 +35,8 @@ from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -270,7 +270,7 @@ def _predict(bank: Bank) -> Phase:
     for i in range(len(bank.random)):
         inputs, filtered = bank.actuation(i), bank.filtered(i)
         (own,) = moved_from(builder, [plant], [filtered.state], inputs.mean, f"_h{i}")
-        moved.append(propagate(own, inputs, filtered))
+        moved.append(propagate(builder, own, inputs, filtered, f"_h{i}"))
     with builder.titled("prediction of every hypothesis"):
         states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
         covariances = builder.define("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))

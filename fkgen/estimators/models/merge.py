@@ -18,6 +18,7 @@ from fkgen.symbolic.linalg import (
     column,
     congruence,
     is_zero,
+    order,
     outer_lower,
     reduced,
     spread,
@@ -25,7 +26,7 @@ from fkgen.symbolic.linalg import (
     unpack,
     weighted_sum,
 )
-from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.plant import DENSE_STATES, Plant
 
 #: Shares of a column that agree to so many decimals are the same.
 DIGITS = 13
@@ -95,7 +96,14 @@ def mixture(
     mean = weighted_sum(weights, [each for each, _ in own])
     if named:
         mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
-    return chart.outward((mean, mixture_covariance(weights, own, mean)), tag)
+    if order(own[0][1]) < DENSE_STATES or not named:
+        return chart.outward((mean, mixture_covariance(weights, own, mean)), tag)
+    apart = [each - mean for each, _ in own]
+    within = weights, [each for _, each in own]
+    name = f"{chart.name}_covariance{tag}"
+    return chart.outward(
+        (mean, _merged_in_loops(chart.builder, name, within, (weights, apart))), tag
+    )
 
 
 def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -> ca.SX:
@@ -139,28 +147,37 @@ def _combined_variance(
 ) -> ca.SX:
     """Covariance of a mixture of predictions of y, packed."""
     weights, means = _distinct(held, predicted)
-    mean, size, p = weighted_sum(held, predicted), covariances[0].numel(), predicted[0].numel()
+    mean, size = weighted_sum(held, predicted), covariances[0].numel()
     if len(covariances) == 1 or not are_many(size * (2 * len(covariances) + 3 * len(means))):
         S = weighted_sum(held, covariances) + spread(weights, means, mean)
         return builder.define("combined_variance", S)
-    S = builder.local("combined_variance", size)
-    names = [builder.array(f"variance_of_{m}", each) for m, each in enumerate(covariances)]
-    apart = [f"apart_{m}" for m in range(len(means))] if len(means) > 1 else []
-    for name, each in zip(apart, means, strict=False):
-        builder.local(name, p)
-        builder.assign({name: each - mean})
-    with builder.loop("i", 0, p) as i:
+    apart = [each - mean for each in means] if len(means) > 1 else []
+    return _merged_in_loops(builder, "combined_variance", (held, covariances), (weights, apart))
+
+
+def _merged_in_loops(
+    builder: PhaseBuilder,
+    name: str,
+    within: tuple[ca.SX, Sequence[ca.SX]],
+    between: tuple[ca.SX, Sequence[ca.SX]],
+) -> ca.SX:
+    """The sum of w_m P_m, packed, and of v_m d_m d_m'; ``within`` is (w, P), ``between`` (v, d)."""
+    (w, covariances), (v, deviations) = within, between
+    found = builder.local(name, covariances[0].numel())
+    names = [builder.array(f"{name}_of_{m}", each) for m, each in enumerate(covariances)]
+    apart = [builder.array(f"{name}_apart_{m}", each) for m, each in enumerate(deviations)]
+    with builder.loop("i", 0, order(covariances[0])) as i:
         factors = [
-            builder.define(f"weighted_{name}", weights[m] * builder.at(name, i))
-            for m, name in enumerate(apart)
+            builder.define(f"weighted_{each}", v[m] * builder.at(each, i))
+            for m, each in enumerate(apart)
         ]
         with builder.loop("k", 0, i + 1) as k:
             at = packed(i, k)
-            entry = weighted_sum(held, [builder.at(name, at) for name in names])
-            for factor, name in zip(factors, apart, strict=True):
-                entry += factor * builder.at(name, k)
-            builder.assign({At("combined_variance", at): entry})
-    return S
+            entry = weighted_sum(w, [builder.at(each, at) for each in names])
+            for factor, each in zip(factors, apart, strict=True):
+                entry += factor * builder.at(each, k)
+            builder.assign({At(name, at): entry})
+    return found
 
 
 def _distinct(weights: ca.SX, values: list[ca.SX]) -> tuple[ca.SX, list[ca.SX]]:
@@ -218,12 +235,16 @@ class Mixer:
         label = f"{self.name}{tag}_{which[0]}_{which[-1]}"
         share = self._share([total(weights[i] for i in half) for half in halves], label, which)
         (x, P), (z, Q) = (self._merge(half, weights, tag, column) for half in halves)
-        spread = self._spread(which, x, z, label)
-        mean, covariance = share[0] * x + share[1] * z, share[0] * P + share[1] * Q
-        self._known[key] = (
-            self.builder.define(f"{label}_mean", mean),
-            self.builder.define(f"{label}_covariance", covariance + spread(share[0] * share[1])),
-        )
+        mean = self.builder.define(f"{label}_mean", share[0] * x + share[1] * z)
+        name = f"{label}_covariance"
+        if order(P) >= DENSE_STATES:
+            apart = [x - z]
+            both = share[0] * share[1]
+            covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (both, apart))
+        else:
+            spread = self._spread(which, x, z, label)(share[0] * share[1])
+            covariance = self.builder.define(name, share[0] * P + share[1] * Q + spread)
+        self._known[key] = mean, covariance
         return self._known[key]
 
     def _share(self, masses: list[ca.SX], label: str, which: range) -> ca.SX:

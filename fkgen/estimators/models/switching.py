@@ -64,6 +64,7 @@ from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
+from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import (
     column,
     congruence,
@@ -73,7 +74,6 @@ from fkgen.symbolic.linalg import (
     unpack,
     weighted_sum,
 )
-from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -455,7 +455,10 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
         packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.ne)
     inputs, mean = certain(symbols["u"]), symbols["filtered_state"]
     (plant,) = moved_from(builder, [plant], [mean], symbols["u"])
-    moved = [propagate(plant, inputs, Posterior(mean, each))[:2] for each in packed]
+    moved = [
+        propagate(builder, plant, inputs, Posterior(mean, each), f"_{at}")[:2]
+        for at, each in enumerate(packed)
+    ]
     state = moved[0][0]
     results = {
         "predicted_mode_probability": law.probability,
@@ -570,7 +573,8 @@ def _moved(
         at = known.setdefault((group, id(plant)), len(moved))
         if at == len(moved):
             (plant,) = moved_from(builder, [plant], [mixed[group][0]], symbols["u"], f"_{at}")
-            state, packed, _ = propagate(plant, certain(symbols["u"]), Posterior(*mixed[group]))
+            inputs, tag = certain(symbols["u"]), f"_{at}"
+            state, packed, _ = propagate(builder, plant, inputs, Posterior(*mixed[group]), tag)
             state = builder.define(f"moved_state_{at}", state)
             moved.append((state, builder.define(f"moved_covariance_{at}", packed)))
         which.append(at)
@@ -589,7 +593,7 @@ def _combined(
     if motions[0].lifted is None and move_alike(motions):
         plant = replace(motions[0], Q=mean_noise(motions, probability))
         estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
-        return propagate(plant, certain(symbols["u"]), estimate)[:2]
+        return propagate(builder, plant, certain(symbols["u"]), estimate, "_combined")[:2]
     masses = [ca.SX(0) for _ in moved[0]]
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]

@@ -28,8 +28,8 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, shifted, turned_by
+from fkgen.symbolic.lifting.linearise import evaluated, seen_from
 from fkgen.symbolic.linalg import column, congruence, is_zero, pack, reduced, sparse, total, unpack
-from fkgen.symbolic.linearise import evaluated, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -177,8 +177,8 @@ class Search:
         price = total(a * b * w for (a, b), w in zip(weights, inverses, strict=True))
         state = shifted(self.prior[0], found.mean, plant.attitudes)
         state = builder.define(f"trial{tag}", state)
-        letters = ("seen",) if last else ("seen", "C")
-        seen, *C = evaluated(builder, plant, state, self.u, (f"seen{tag}", letters))
+        letters = ("seen", "seen_by") if last else ("seen", "seen_by", "C")
+        seen, decided, *C = evaluated(builder, plant, state, self.u, (f"seen{tag}", letters))
         residual = self._residual(seen, f"residual{tag}")
         cost = builder.define(f"cost{tag}", price + self._square(self.independent(residual)))
         new = {"step": found.mean, "cost": cost, "stays": ca.SX(0)}
@@ -191,7 +191,7 @@ class Search:
         with builder.titled(f"iteration {i + 1}: the step is taken if it lowers the cost"):
             with builder.if_present(None):
                 builder.assign({"stays": ca.SX(1)})
-            with builder.if_positive(kept["cost"] - cost):
+            with builder.if_positive(_lowered(kept["cost"] - cost, decided)):
                 builder.assign({name: value for name, value in new.items() if value.numel()})
         return found
 
@@ -236,3 +236,13 @@ class Search:
         for k, place in enumerate(places):
             H[place] = moving[k]
         return H
+
+
+def _lowered(by: ca.SX, decided: ca.SX) -> ca.SX:
+    """What is positive where a cost is lowered, and is so by an h that decides by values.
+
+    A decision by NaN would be "no" and leave a cost that is none; with it the quotient is NaN, and
+    0 with one by an infinity.
+    """
+    sizes = [ca.fabs(each) for each in ca.vertsplit(ca.densify(decided)) if not each.is_constant()]
+    return by / (1.0 + total(sizes)) if sizes else by

@@ -32,6 +32,7 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, box_minus, box_plus, shifted, turned_by
+from fkgen.symbolic.lifting.linearise import demand_decided, demand_variances, seen_from
 from fkgen.symbolic.linalg import (
     congruence,
     outer_lower,
@@ -42,7 +43,6 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.linearise import demand_decided, demand_variances, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion

@@ -195,7 +195,7 @@ def _predict(design: window.Design) -> Phase:
     builder = PhaseBuilder(symbols)
     plant = bound(builder, design.plant, "ABQc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
-    state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
+    state, covariance, _ = propagate(builder, plant, certain(symbols["u"]), filtered)
     filters = _filters(design)
     deviations = [plant.A @ d for _, d, _ in filters]
     covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for _, _, P in filters]

@@ -46,6 +46,7 @@ def of_matrices(named: Named, matrices: Mapping[str, Matrix]) -> Equations:
 def mode_equations(section: Section, named: Named, base: Equations) -> Equations:
     """The equations of a mode; what it leaves out is that of the base."""
     known = named.known()
+    known.written.update(base.written)
     stated = read_definitions(section, known)
     for name, tree in base.let:
         if part_of(name) not in stated:
@@ -57,7 +58,8 @@ def mode_equations(section: Section, named: Named, base: Equations) -> Equations
             define()
     f = read_motion(section, named, known, base.f)
     h = read_measurement(section, named, known, base.h)
-    found = replace(base, let=kept(known, [*trees_of(f), *h]), f=tuple(f), h=tuple(h))
+    let, written = kept(known, [*trees_of(f), *h]), tuple(known.written.items())
+    found = replace(base, let=let, f=tuple(f), h=tuple(h), written=written)
     check_noise_free(found, section.place, [each.name for each in named.outputs])
     return found
 
@@ -78,7 +80,7 @@ def chosen(several: Sequence[Equations], indicators: Sequence[Name]) -> Equation
         seen.append(tuple(renamed(tree, names) for tree in each.h))
     f = tuple(_chosen_motion(each, indicators) for each in zip(*motions, strict=True))
     h = tuple(_chosen(each, indicators) for each in zip(*seen, strict=True))
-    return replace(several[0], let=tuple(let.items()), f=f, h=h)
+    return replace(several[0], let=tuple(let.items()), f=f, h=h, written=())
 
 
 def _chosen(trees: Sequence[Expression], indicators: Sequence[Name]) -> Expression:

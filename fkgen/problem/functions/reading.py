@@ -18,7 +18,7 @@ from fkgen.problem.equations import (
 )
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import REFUSED, Named
-from fkgen.problem.functions.sources import checked, is_source, read_source, trees
+from fkgen.problem.functions.sources import checked, is_source, read_source, symbol, trees
 from fkgen.problem.functions.vectors import HIDDEN, PART, EquationReader, Known, Value
 from fkgen.problem.signals import Signal, read_name
 from fkgen.problem.table.place import Place, show, suggestion
@@ -35,7 +35,7 @@ from fkgen.problem.text.expression import (
     to_text,
     total,
 )
-from fkgen.problem.text.foreign import library, plain_entry
+from fkgen.problem.text.foreign import library, plain_entry, sympy_tree
 from fkgen.problem.text.matrix import plain
 
 #: What only a model with equations has.
@@ -73,6 +73,7 @@ def read_equations(section: Section, named: Named, timing: dict[str, Any]) -> Eq
         let=kept(known, [*trees_of(f), *h]),
         f=tuple(f),
         h=tuple(h),
+        written=tuple(known.written.items()),
         attitudes=tuple(named.attitudes.values()),
         **timing,
     )
@@ -135,6 +136,7 @@ def read_definitions(section: Section, known: Known) -> dict[str, Callable[[], N
         for key in parts[name]:
             reader = EquationReader(known, f"let.{name}")
             value = read_value(table[key], place.entry(key), reader)
+            known.note(f"let.{key}", table[key])
             known.later.pop(name, None)
             known.given.add(name)
             if isinstance(value, tuple):
@@ -167,6 +169,8 @@ def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
     if library(entry) == "casadi":
         found = trees(entry, place, reader)
         return found[0] if len(found) == 1 else tuple(found)
+    if library(entry) == "sympy" and not hasattr(entry, "tolist"):
+        return sympy_tree(entry, place, lambda name: symbol(name, place, reader), reader.share)
     plain = plain_entry(entry, place)
     if isinstance(plain, str):
         value = placed(lambda: reader.read(plain), plain, place)
@@ -244,6 +248,7 @@ def read_motion(
             continue
         entry, place = entries[signal.name]
         reader = EquationReader(known, f"f.{signal.name}")
+        known.note(reader.label, entry)
         if signal.manifold:
             found += _turning(entry, place, reader, (signal, named.continuous))
         else:
@@ -306,6 +311,7 @@ def read_measurement(
             raise place.error("nothing (the key is missing)", "an expression of states and inputs")
         entry, place = entries[signal.name]
         reader = EquationReader(known, f"h.{signal.name}")
+        known.note(reader.label, entry)
         found.append(_number(read_value(entry, place, reader), place))
     return found
 

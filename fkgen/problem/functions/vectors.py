@@ -57,12 +57,21 @@ class Known:
     later: dict[str, str] = field(default_factory=dict)
     shared: dict[Expression, Name] = field(default_factory=dict)
     given: set[str] = field(default_factory=set)  # Definitions that the table itself states
+    written: dict[str, str] = field(default_factory=dict)  # Texts by key, such as "h.range"
 
     def define(self, name: str, tree: Expression) -> Name:
         """Put a definition behind the others."""
         self.let.append((name, tree))
         self.scalars[name] = "a definition"
         return Name(name)
+
+    def note(self, key: str, entry: object) -> None:
+        """Keep what was written under a key, if it was a text."""
+        parts = entry if isinstance(entry, list | tuple) else [entry]
+        self.written.pop(key, None)
+        if all(isinstance(part, str | int | float) for part in parts):
+            texts = [" ".join(str(part).split()) for part in parts]
+            self.written[key] = f"[{', '.join(texts)}]" if parts is entry else texts[0]
 
     def adopt(self, name: str, tree: Expression) -> None:
         """Take over a definition of another table."""

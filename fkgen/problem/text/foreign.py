@@ -71,7 +71,7 @@ def plain_entry(value: Any, place: Place) -> object:
         case "numpy" if hasattr(value, "tolist"):
             return value.tolist()
         case "sympy" if not hasattr(value, "tolist"):
-            entry: object = _sympy_entry(value, place)
+            entry: object = sympy_tree(value, place)
         case "casadi":
             rows = _casadi_rows(value, place)
             entry = rows[0][0] if len(rows) == 1 and len(rows[0]) == 1 else rows
@@ -80,9 +80,24 @@ def plain_entry(value: Any, place: Place) -> object:
     return entry.value if isinstance(entry, Number) else entry
 
 
-def _sympy_entry(value: Any, place: Place) -> Expression:
+def sympy_tree(
+    value: Any,
+    place: Place,
+    named: Callable[[str], Name] = Name,
+    shared: Callable[[Expression], Expression] | None = None,
+) -> Expression:
+    """Return a SymPy expression.
+
+    ``shared`` gives what stands for a tree that is needed more than once, or is large; without it
+    all is written out.
+    """
     try:
-        return _SympyScalar().converted(value)
+        found = _SympyScalar(named)
+        if shared is None:
+            return found.converted(value)
+        found.known = {}
+        found.converted(value)  # counts what is needed how often
+        return _SympyScalar(named, shared, found.needed, {}).converted(value)
     except Unfit as fault:
         expected = str(fault)
     except ArithmeticError as fault:
@@ -92,20 +107,49 @@ def _sympy_entry(value: Any, place: Place) -> Expression:
     raise place.error(show(value), expected)
 
 
+#: Different parts of an expression, of which those that are equal are converted once.
+MAX_DISTINCT = 10_000
+#: Nodes of a tree that become a definition, if definitions are possible.
+LARGE = 100
+
+
 class _SympyScalar:
     """Converts one SymPy expression, node by node."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        named: Callable[[str], Name],
+        shared: Callable[[Expression], Expression] | None = None,
+        needed: Counter[Any] | None = None,
+        known: dict[Any, Expression] | None = None,
+    ) -> None:
         self.sympy: Any = import_module("sympy")
-        self.left = MAX_NODES
+        self.named, self.shared, self.known = named, shared, known
+        self.needed = Counter[Any]() if needed is None else needed
+        self.count = 0
 
     def converted(self, node: Any) -> Expression:
+        """The tree of a node, once where nodes are ``known``."""
+        if self.shared is None:
+            self.needed[node] += 1
+        if self.known is not None and node in self.known:
+            return self.known[node]
+        self.count += 1
+        most = MAX_NODES if self.known is None else MAX_DISTINCT
+        if self.count > most:
+            kind = "" if self.known is None else "different "
+            raise Unfit(f"an expression of at most {most} {kind}terms and factors")
+        tree = self.tree(node)
+        if self.shared is not None and (self.needed[node] > 1 or size(tree) > LARGE):
+            tree = self.shared(tree)
+        if self.known is not None:
+            self.known[node] = tree
+        return tree
+
+    def tree(self, node: Any) -> Expression:
         sympy = self.sympy
-        self.left -= 1
-        if self.left < 0:
-            raise Unfit(f"an expression of at most {MAX_NODES} terms and factors")
         if isinstance(node, sympy.Symbol):
-            return Name(str(node.name))
+            return self.named(str(node.name))
         if isinstance(node, sympy.Rational | sympy.Float) or node in {sympy.pi, sympy.E}:
             with suppress(OverflowError):
                 if math.isfinite(number := float(node)):
@@ -161,9 +205,6 @@ class _SympyScalar:
     def divides(self, node: Any) -> bool:
         return bool(isinstance(node, self.sympy.Pow) and node.exp.is_Rational and node.exp < 0)
 
-
-#: Nodes of a tree that become a definition, if definitions are possible.
-LARGE = 100
 
 _CASADI = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/", "NEG": "neg", "POW": "**"}
 _CASADI |= {"CONSTPOW": "**", "FABS": "abs", "FMIN": "min", "FMAX": "max"}

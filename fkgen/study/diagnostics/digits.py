@@ -143,7 +143,7 @@ def _filtered_bound(model: Subject, steady: SteadyFilter) -> Array | None:
         samples += math.ceil(math.log(_FORGOTTEN) / math.log(steady.radius))
     if samples > _LONGEST:
         return None
-    spec = replace(model.spec, code=Code("float", model.spec.code.update))
+    spec = replace(model.spec, code=Code("float", model.spec.code.update, fma=model.spec.code.fma))
     machine = Machine(lower(family(spec.filter.family).build(spec)))
     powers = [np.eye(len(F))]
     for _ in range(samples - 1):
@@ -216,9 +216,17 @@ def _rounded(value: float, error: float) -> Bounded:
     return Bounded(value, error + UNIT * (abs(value) + error))
 
 
+def _brought(a: Bounded, b: Bounded) -> float:
+    """What the errors of two numbers do to their product."""
+    return abs(a) * b.error + abs(b) * a.error + a.error * b.error
+
+
 def _product(a: Bounded, b: Bounded) -> Bounded:
-    error = abs(a) * b.error + abs(b) * a.error + a.error * b.error
-    return _rounded(float(a) * float(b), error)
+    return _rounded(float(a) * float(b), _brought(a, b))
+
+
+def _fused(a: Bounded, b: Bounded, c: Bounded) -> Bounded:
+    return _rounded(float(a) * float(b) + float(c), _brought(a, b) + c.error)
 
 
 def _quotient(a: Bounded, b: Bounded) -> Bounded:
@@ -246,6 +254,9 @@ ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.SUB: lambda a, b: _rounded(float(a) - float(b), a.error + b.error),
     Operator.MUL: _product,
     Operator.DIV: _quotient,
+    Operator.FMA: _fused,
+    Operator.FMS: lambda a, b, c: _fused(a, b, Bounded(-float(c), c.error)),
+    Operator.FNMA: lambda a, b, c: _fused(Bounded(-float(a), a.error), b, c),
     Operator.NEG: lambda a: Bounded(-float(a), a.error),
     Operator.ABS: lambda a: Bounded(abs(float(a)), a.error),
     Operator.MAX: lambda a, b: Bounded(max(float(a), float(b)), max(a.error, b.error)),

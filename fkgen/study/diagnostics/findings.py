@@ -42,10 +42,13 @@ note stationary_sd.trajectory: standard deviation of the filtered state in the s
 warning trajectory_refused: the filter refuses {value} of {samples} samples of {of}, the first is
     sample {first}: they are left out -> see the status of run at that sample
 warning unobservable.trajectory: unobservable along {of}: over {length} samples from any of its
-    {windows} windows on the measurements say nothing about {names}
+    {windows} windows on the measurements{whom} say nothing about {names}
     -> measure it, leave it out of the model, or drive the plant in another way (--record, --u)
 note unobservable.sometimes: unobservable in {k} of {windows} windows of {length} samples of {of},
-    which begin at samples {starts}: there the measurements say nothing about {names}
+    which begin at samples {starts}: there the measurements{whom} say nothing about {names}
+note unobservable.mode: unobservable in mode{plural} {modes} along {of}: over {length} samples from
+    any of its {windows} windows on the measurements of that mode say nothing about {names}, those
+    of another do
 note weakly_observable: no window of {length} samples of {of} determines {name} as well as the prior
     does: sd {value:.3g} from measurements alone, {prior:.3g} from P0
 note nonlinearity: second-order terms along {of}: of h up to {h} deviations of the noise, of f up to

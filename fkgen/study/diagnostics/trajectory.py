@@ -7,13 +7,15 @@ is: y of the window then determines the state at its beginning, or leaves direct
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fkgen.backend.execute import Machine
 from fkgen.backend.lower import lower
 from fkgen.errors import DataError
 from fkgen.families import family
@@ -25,7 +27,6 @@ from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.runtime import record
-from fkgen.study.diagnostics.start import Replay
 from fkgen.study.diagnostics.subject import Array, Subject, listed
 from fkgen.trials.errors import error_signals
 
@@ -112,13 +113,13 @@ class Trajectory:
 
     def _run(self) -> None:
         spec, drive, model = self.spec, self.drive, self.spec.model
-        replay, ne = Replay(lower(family(spec.filter.family).build(spec))), model.ne
+        machine, ne = Machine(lower(family(spec.filter.family).build(spec))), model.ne
         rows, columns = np.tril_indices(ne)
 
         def estimate(which: str) -> tuple[Array, Array]:
             P = np.zeros((ne, ne))
-            P[rows, columns] = P[columns, rows] = replay.port(f"{which}_covariance")
-            return np.array(replay.port(f"{which}_state"), float), P
+            P[rows, columns] = P[columns, rows] = machine.ports[f"{which}_covariance"]
+            return np.array(machine.ports[f"{which}_state"], float), P
 
         prior = model.x0.values(spec.defaults)[:, 0], model.P0.values(spec.defaults)
         found: dict[str, list[tuple[Array, Array]]] = {"predicted": [], "filtered": []}
@@ -126,7 +127,7 @@ class Trajectory:
         for k in range(self.T):
             told = {name: float(values[k]) for name, values in drive.params.items()}
             y = np.zeros(model.ny) if drive.y is None else drive.y[k]
-            accepted.append(replay.step(drive.u[k], y, told))
+            accepted.append(machine.step(drive.u[k], y, told).value >= 0)
             found["predicted"].append(prior)
             found["filtered"].append(estimate("filtered") if accepted[-1] else prior)
             prior = estimate("predicted") if accepted[-1] else prior
@@ -196,9 +197,12 @@ class Window:
     deviation: Array  # (ne,): how well they alone determine each number; infinite if not
 
 
-def window_of(system: NonlinearSystem, x: Array, u: Array, start: int, count: int) -> Window | None:
-    """The window that begins with an estimate; None where f or h has no value in it."""
-    stacked = seen_through(system, x, u, start, count)
+def window_of(
+    systems: Sequence[NonlinearSystem], x: Array, u: Array, start: int, count: int
+) -> Window | None:
+    """The window that begins with an estimate, seen by modes; None if f or h has no value in it."""
+    each = [seen_through(system, x, u, start, count) for system in systems]
+    stacked = np.vstack(each)
     if not np.isfinite(stacked).all():
         return None
     scale = np.linalg.norm(stacked, axis=0)
@@ -214,18 +218,27 @@ def window_of(system: NonlinearSystem, x: Array, u: Array, start: int, count: in
 
 
 def observability(model: Subject, path: Trajectory) -> None:
-    """Directions that windows of measurements leave open, and those of which they say little."""
-    system, units = path.systems[0], np.sqrt(np.diag(model.P0).clip(0.0))
-    state = path.filtered[0]
-    every = (window_of(system, state[k], path.u, k, path.length) for k in path.windows())
-    found = [window for window in every if window is not None]
+    """Directions that windows of measurements leave open, and those of which they say little.
+
+    Of several modes: what none of them shows, then what some of them do not.
+    """
+    units, state = np.sqrt(np.diag(model.P0).clip(0.0)), path.filtered[0]
+
+    def windows(*systems: NonlinearSystem) -> dict[int, Window]:
+        given = ((k, window_of(systems, state[k], path.u, k, path.length)) for k in path.windows())
+        return {k: window for k, window in given if window is not None}
+
+    found, several = windows(*path.systems), len(path.systems) > 1
     if not found:  # what that comes from is a finding of its own
         return
-    best = np.min([each.deviation for each in found], axis=0)
+    own = [windows(each) for each in path.systems] if several else [found]
+    best = np.min([each.deviation for of_mode in own for each in of_mode.values()], axis=0)
     model.put("observation_sd", model.states, best)
-    blind = [each for each in found if len(each.open)]
+    blind = [each for each in found.values() if len(each.open)]
     model.values["unobservable_windows"] = float(len(blind))
     facts = {"length": path.length, "of": path.drive.of, "windows": len(found)}
+    if several:
+        _blind_modes(model, found, own, units, facts)
     if blind:
         always = len(blind) == len(found)
         sign = 1 if always else -1  # what no window shows, or what some do not
@@ -235,12 +248,36 @@ def observability(model: Subject, path: Trajectory) -> None:
         more = " ..." * (len(blind) > 4)
         names = _direction(model, worst.open, units)
         facts |= {"names": names, "starts": f"{starts}{more}", "k": len(blind)}
+        facts["whom"] = " of any mode" * several
         model.add(code, len(worst.open), **facts)
         return
     signals = zip(error_signals(model.spec.model.states), best, units, strict=True)
     for signal, sd, prior in signals:
-        if 0.0 < prior < sd:
+        if 0.0 < prior < sd < np.inf:
             model.add("weakly_observable", float(sd), name=signal.name, prior=prior, **facts)
+
+
+def _blind_modes(
+    model: Subject,
+    together: Mapping[int, Window],
+    own: Sequence[Mapping[int, Window]],
+    units: Array,
+    facts: dict[str, Any],
+) -> None:
+    """What modes do not show in any window, though others do."""
+    modes: dict[str, list[str]] = {}
+    for m, windows in enumerate(own):
+        model.values[f"unobservable_windows.{m}"] = float(
+            sum(bool(len(w.open)) for w in windows.values())
+        )
+        extra = [len(w.open) - len(together[k].open) for k, w in windows.items() if k in together]
+        if extra and min(extra) > 0:
+            worst = min(windows.values(), key=lambda each: (len(each.open), each.start))
+            modes.setdefault(_direction(model, worst.open, units), []).append(str(m))
+    for names, which in modes.items():
+        plural = "s" * (len(which) > 1)
+        told = facts | {"names": names, "modes": listed(which), "plural": plural}
+        model.add("unobservable.mode", len(which), **told)
 
 
 def _direction(model: Subject, directions: Array, units: Array) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.pipeline import build
 from fkgen.problem import Spec
-from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.compiled import CompiledFilter, Pieces
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.record import choice
 from fkgen.runtime.results import Run
@@ -187,10 +187,10 @@ def run(
     picture = b""
     with _target(output, force=force) as file:
         for at, table in enumerate(record.pieces()):
-            found = filtered(table.y, table.u if built.layout.inputs else None, table.params)
+            found = filtered.filter(table.y, table.u if built.layout.inputs else None, table.params)
             file.write(to_csv(built.layout, table, found, selection, header=at == 0))
             summary.add(table, found)
-            refusals.add(table, found)
+            refusals.add(table, found, filtered)
             if plot is not None:
                 done.append((table, found))
         if plot is not None:
@@ -227,12 +227,15 @@ class _Refusals:
     def __init__(self, name: str) -> None:
         self._name, self._done = name, 0
         self._found: dict[int, tuple[int, int, int]] = {}
+        self._reasons: dict[int, str] = {}
 
-    def add(self, table: Table, run: Run) -> None:
-        """Count a piece."""
+    def add(self, table: Table, run: Run, filtered: Pieces) -> None:
+        """Count a piece, the one that was filtered last."""
         for value in np.unique(run.status[run.refused]).tolist():
             where = np.flatnonzero(run.status == value)
             held = int(run.held[where].sum())
+            if value not in self._found:
+                self._reasons[value] = filtered.reason(int(where[0]))
             count, before, first = self._found.get(value, (0, 0, self._done + int(where[0])))
             self._found[value] = count + where.size, before + held, first
         self._done += table.samples
@@ -241,10 +244,11 @@ class _Refusals:
         """One sentence per reason."""
         for value, (count, held, first) in sorted(self._found.items()):
             status, several = Status(value), f"{count} samples refused, the first in"
+            reason = self._reasons[value] and f": {self._reasons[value]}"
             yield (
                 f"{table.file}: {'1 sample refused, in' if count == 1 else several} "
-                f"{table.where(first)}: {f'{self._name}_{status.name}'.upper()}: {status.meaning}; "
-                f"{_course(count, held)}"
+                f"{table.where(first)}: {f'{self._name}_{status.name}'.upper()}: {status.meaning}"
+                f"{reason}; {_course(count, held)}"
             )
 
 

@@ -1,4 +1,4 @@
-"""Many rows of y with a full R: the filter in loops, against matrices with rows cut out."""
+"""Many rows of y with a full R, many states: loops, against matrices with rows cut out."""
 
 from __future__ import annotations
 
@@ -85,7 +85,11 @@ def expected(model, y):
 
 
 @pytest.mark.parametrize(
-    ("n", "p", "scalar"), [(4, 40, "double"), (2, 40, "float"), (8, 33, "float")]
+    ("n", "p", "scalar"),
+    [
+        *((4, 40, "double"), (2, 40, "float"), (8, 33, "float")),
+        *((8, 2, "double"), (13, 5, "double"), (16, 4, "float"), (31, 9, "double")),
+    ],
 )
 def test_any_rows_may_be_missing(n, p, scalar):
     source, y = built(n, p, scalar), record(n, p)
@@ -129,7 +133,13 @@ def test_calls_in_any_order():
             np.testing.assert_allclose(built_filter.state("predicted_state"), book.x, atol=1e-10)
 
 
+@pytest.mark.parametrize(("n", "p"), [(9, 3), (21, 4)])
+def test_the_text_does_not_grow_with_the_plant(n, p):
+    assert built(n, p, "double").program.statements < 40 * n
+
+
 def test_the_header_says_the_form():
+    assert "loops over whole matrices" in built(13, 5, "double").files["many.h"]
     source = built(4, 40, "double")
     assert "loops over rows of y" in source.files["many.h"]
     assert "for (int j = 0; j < 40; ++j)" in source.files["many.c"]

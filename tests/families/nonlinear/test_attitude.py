@@ -12,6 +12,7 @@ from toolchain import needs_compiler, run_main
 import fkgen
 from fkgen.errors import DataError
 from fkgen.study.records.filtering import columns_of, select
+from fkgen.trials.errors import error_signals
 
 pytestmark = needs_compiler()
 
@@ -131,6 +132,8 @@ def test_attitudes_stay_of_unit_length_with_w_not_negative(case, scalar):
 def test_columns_of_covariances_are_named_by_axes_of_the_body():
     filtering = built(equations.read(equations.ATTITUDE, family="ekf"))
     assert filtering.layout.errors == ("q[x]", "q[y]", "q[z]", "bx", "by", "bz")
+    states = equations.read(equations.ATTITUDE).model.states
+    assert tuple(each.name for each in error_signals(states)) == filtering.layout.errors
     kept = ("filtered_state", "filtered_sd", "filtered_covariance")
     chosen = select(filtering.layout, kept)
     run = filtering.run(np.ones((3, 3)), np.zeros((3, 3)), keep=chosen.ports)

@@ -15,6 +15,10 @@ from equations import ATTITUDE, ROBOT, read, table
 import fkgen
 from fkgen.errors import DataError, SpecError
 from fkgen.problem import Parameter
+from fkgen.problem.table.place import Place
+from fkgen.problem.text import foreign
+from fkgen.problem.text.expression import size
+from fkgen.problem.text.foreign import LARGE
 from fkgen.runtime import record
 
 POINT = ([1.0, 2.0, 0.3], [2.0, 0.5], [0.1], {"dt": 0.1, "bias": 0.25})
@@ -231,3 +235,30 @@ def test_what_a_filter_is_told_of_faults_is_no_argument():
     told = replace(equations.FAMILY.traits, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0)))
     equations.TOLD = replace(equations.FAMILY, traits=told)
     assert fkgen.Spec.from_dict(given | {"filter": {"family": "equations:TOLD"}}).model == plain
+
+
+def nested(count, x, y, mathematics):
+    """Two numbers that hold each other some times over: few parts, and trees beyond bounds."""
+    a, b = x + 1, y + 1
+    for _ in range(count):
+        above = mathematics.sin(a * b) / (2 + a**2) + a / 3
+        a, b = above, mathematics.cos(a - b) / 2 + b / (3 + a**2)
+    return a, b
+
+
+def test_parts_of_sympy_that_are_equal_are_converted_once():
+    a, b = nested(6, *sp.symbols("x y"), sp)
+    with pytest.raises(SpecError, match="at most 2000 terms"):
+        foreign.sympy_tree(a, Place())
+    found = read(ROBOT | {"h": {"range": a, "bearing": b}}).model.equations
+    assert len(found.let) < 100
+    assert max(map(size, found.trees)) <= 2 * LARGE
+    seen = found.seen([0.3, -0.7, 0.2], [0.0, 0.0], {"dt": 0.1})
+    np.testing.assert_allclose(seen, nested(6, 0.3, -0.7, math), rtol=1e-13)
+
+
+def test_an_expression_of_too_many_different_parts_is_refused(monkeypatch):
+    monkeypatch.setattr(foreign, "MAX_DISTINCT", 60)
+    with pytest.raises(SpecError, match="at most 60 different terms and factors"):
+        read(ROBOT | {"h": {"range": nested(6, *sp.symbols("x y"), sp)[0], "bearing": "heading"}})
+    read(ROBOT | {"h": {"range": nested(1, *sp.symbols("x y"), sp)[0], "bearing": "heading"}})

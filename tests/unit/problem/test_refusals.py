@@ -106,6 +106,8 @@ KEYS: list[Case] = [
     (KF, {"code": "float"}, "code", "the text 'float'", "a table with scalar"),
     (KF, {"code.scalar": "flaot"}, "code.scalar", "'flaot'", "did you mean 'float'?"),
     (KF, {"code.update": 1}, "code.update", "1", "one of auto, short, joseph"),
+    (KF, {"code.fma": 1}, "code.fma", "the int 1", "true or false"),
+    (KF, {"code.fma": "yes"}, "code.fma", "the text 'yes'", "true or false"),
 ]
 
 

@@ -196,7 +196,7 @@ def test_windows_determine_states_as_differences_of_measurements_say(name):
     u = [0.3, 0.2, -0.1][: spec.model.nu]
     path = path_of(spec, **({"u": u} if u else {}))
     space, x, count = space_of(spec.model.states), path.filtered[0][3], 20
-    found = window_of(path.systems[0], x, path.u, 3, count)
+    found = window_of(path.systems[:1], x, path.u, 3, count)
     params = {n: np.asarray(v)[3:] for n, v in path.drive.params.items()}
     wraps, columns = [each.wrap for each in spec.model.outputs], []
     for direction in np.eye(space.ne):
@@ -221,7 +221,7 @@ def test_one_landmark_leaves_the_turn_about_it_open():
     assert all(np.isinf(report.values[f"observation_sd.{s}"]) for s in ("x", "y", "heading"))
     path = path_of(spec, u=[1.0, 0.3])
     x = path.filtered[0][10]
-    (direction,) = window_of(path.systems[0], x, path.u, 10, 50).open
+    (direction,) = window_of(path.systems[:1], x, path.u, 10, 50).open
     turn = np.array([-x[1], x[0], 1.0])  # of the place about the landmark, and of the heading
     cosine = direction @ turn / np.linalg.norm(direction) / np.linalg.norm(turn)
     assert abs(abs(cosine) - 1.0) < 1e-9
@@ -285,10 +285,68 @@ def test_what_is_unobservable_of_a_linear_plant_is_so_of_the_same_by_functions()
         "f": {"a": "0.9*a + 0.1*b", "b": "0.8*b"}, "h": {"y": "a"},
     }  # fmt: skip
     path = path_of(read(model, {}))
-    found = window_of(path.systems[0], path.filtered[0][0], path.u, 0, 50)
+    found = window_of(path.systems[:1], path.filtered[0][0], path.u, 0, 50)
     hidden = unobservable(A, C)
     assert len(found.open) == hidden.size == 1
     np.testing.assert_allclose(np.abs(found.open[0]), [0.0, 0.0, 1.0], atol=1e-9)
+
+
+def modes_seeing(*rows):
+    """Three states that move on their own; of every mode what its row measures."""
+    model = {
+        "states": [{"name": name} for name in "abc"], "outputs": [{"name": "y"}], "R": [[0.1]],
+        "Q": np.diag([0.1, 0.1, 0.1]).tolist(), "x0": [0.5, 0.5, 0.5], "P0": np.eye(3).tolist(),
+        "f": {"a": "0.9*a", "b": "0.8*sin(b)"}, "h": {"y": rows[0]},
+    }  # fmt: skip
+    N = len(rows)
+    jump = {"transition": np.full((N, N), 1.0 / N).tolist(), "initial": [1.0 / N] * N}
+    jump["modes"] = [{"h": {"y": row}} for row in rows]
+    return read(model, {}, family="imm", faults={"jump": jump})
+
+
+def told_of(report):
+    return {
+        f.message.partition(" of that mode")[0] for f in report.findings if f.code == "unobservable"
+    }
+
+
+def test_a_state_that_some_modes_do_not_see_is_told_with_them_and_one_that_none_sees_by_itself():
+    report = fkgen.check(modes_seeing("a", "a + b", "b", "2*b"))
+    (none,) = [f for f in report.findings if f.code == "unobservable" and f.severity == "warning"]
+    assert none.message.endswith("on the measurements of any mode say nothing about c")
+    along = "along a trial: over 50 samples from any of its 4 windows on the measurements"
+    assert told_of(report) - {none.message} == {
+        f"unobservable in mode 0 {along}",
+        f"unobservable in modes 2 and 3 {along}",
+    }
+    said = sorted(f.message for f in report.findings if f.code == "unobservable" and f is not none)
+    assert said[0].endswith("say nothing about b and c, those of another do")
+    assert said[1].endswith("say nothing about a and c, those of another do")
+    values = report.values
+    assert [values[f"unobservable_windows.{m}"] for m in range(4)] == [4.0] * 4
+    assert np.isfinite([values["observation_sd.a"], values["observation_sd.b"]]).all()
+    assert np.isinf(values["observation_sd.c"])
+
+
+def test_the_order_of_modes_does_not_matter_and_what_all_see_is_no_finding():
+    rows = ["a + b + c", "c", "a + 2*b + 3*c"]
+    expected = "say nothing about a and b, those of another do"
+    for order in ([0, 1, 2], [1, 2, 0]):
+        report = fkgen.check(modes_seeing(*(rows[i] for i in order)))
+        (found,) = [f for f in report.findings if f.code == "unobservable"]
+        assert found.severity == "note"
+        assert f"in mode {order.index(1)} along" in found.message
+        assert found.message.endswith(expected)
+        assert report.values["unobservable_windows"] == 0.0
+    report = fkgen.check(modes_seeing(rows[0], rows[2]))
+    assert not [f for f in report.findings if f.code == "unobservable"]
+
+
+def test_a_direction_that_only_modes_together_show_is_open_in_each_and_not_in_all():
+    report = fkgen.check(modes_seeing("a + c", "b + c", "c"))
+    found = [f for f in report.findings if f.code == "unobservable"]
+    assert {f.severity for f in found} == {"note"}
+    assert len(found) == 3
 
 
 @pytest.mark.parametrize("dependence", ["common", "independent"])
@@ -390,8 +448,8 @@ def test_an_attitude_in_float_is_held_against_double_by_its_rotation():
     spec = read(ATTITUDE, code={"scalar": "float"})
     report = fkgen.check(spec)
     assert 0.0 < report.values["float_start_to_sd"] < 0.1
-    assert "one combination of q.x, q.y and q.z" in finding(report, "unobservable").message
-    assert "second_order_f.later.q.z" in report.values
+    assert "one combination of q[x], q[y] and q[z]" in finding(report, "unobservable").message
+    assert "second_order_f.later.q[z]" in report.values
 
 
 def test_a_function_without_a_value_near_the_estimate_is_an_error():

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 import sensor_specs
 import spread
-from plants import built, generated
+from plants import built
 from toolchain import needs_compiler
 
 import fkgen
-from fkgen.backend.execute import Machine
 from fkgen.estimators.gaussian import estimate
 from fkgen.estimators.lmmse import kalman
 from fkgen.study.diagnostics import start
-from fkgen.study.diagnostics.start import Replay
 
 SPECS = spread.specs("float") | sensor_specs.every("float")
 KINDS = ("kf_functions", "kf_exact", "kf_wide", "mme_certain", "dfcf_groups", "imm_zeros", "genie")
@@ -56,20 +54,6 @@ def trend(prior, scalar="float"):
 
 def found(spec):
     return [f for f in fkgen.check(spec).findings if f.code == "start"]
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_a_replay_gives_the_bits_of_the_machine(name):
-    program = generated(SPECS[name]).program
-    machine, replay, rng = Machine(program), Replay(program), np.random.default_rng(4)
-    for k in range(9):
-        y, u = rng.normal(size=len(program.outputs)), rng.normal(size=len(program.inputs))
-        y[rng.random(y.shape) < 0.2] = np.nan
-        y[:] = np.inf if k == 6 else y
-        status = machine.step(u.tolist(), y.tolist(), dict(program.parameters))
-        assert replay.step(u, y, dict(program.parameters)) == (status.value >= 0)
-        for port, values in machine.ports.items():
-            assert [v.tobytes() for v in replay.port(port)] == [v.tobytes() for v in values], port
 
 
 @needs_compiler()
@@ -209,8 +193,8 @@ def test_numbers_that_leave_nothing_to_prove_with_are_no_defect_of_the_filter(ca
 def test_a_mistake_in_the_filter_is_its_defect_whatever_the_numbers(monkeypatch, spec):
     right = estimate.propagate
 
-    def wrong(plant, *others):
-        return right(replace(plant, A=plant.A.T), *others)
+    def wrong(builder, plant, *others):
+        return right(builder, replace(plant, A=plant.A.T), *others)
 
     monkeypatch.setattr(kalman, "propagate", wrong)
     with pytest.raises(fkgen.InternalError, match="joint distribution"):

@@ -144,7 +144,7 @@ def test_errors_are_the_shortest_on_circles_and_rotations():
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
     assert np.abs(truth - estimate)[:, 1].max() > np.pi > np.abs(found[:, 1]).max()
     names = [each.name for each in error_signals(states)]
-    assert names == ["a", "h", "q.x", "q.y", "q.z", "b"]
+    assert names == ["a", "h", "q[x]", "q[y]", "q[z]", "b"]
 
 
 def test_a_lost_signal_without_a_value_is_its_noise():
@@ -200,5 +200,5 @@ def test_an_attitude_is_scored_by_its_rotation_vector():
     spec = fkgen.Spec.from_dict(table(quiet, family="ekf"))
     found = fkgen.compare(spec, ("ekf",), runs=60, steps=60, skip=0, u=[0.3, -0.2, 0.1])
     row = found.row("ekf")
-    assert list(row.rmse) == ["q.x", "q.y", "q.z", "bx", "by", "bz"]
+    assert list(row.rmse) == ["q[x]", "q[y]", "q[z]", "bx", "by", "bz"]
     assert consistent(row, 0.1), row

@@ -1,4 +1,4 @@
-"""Square roots are rounded correctly, by the processor's instruction and digit by digit alike."""
+"""Elementary functions as compiled: roots by either way, and functions of every float."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ WORD = {"double": np.uint64, "float": np.uint32}
 WAYS = {"instruction": (), "digits": ("-DFKGEN_NO_ASM",)}
 
 
-def roots(folder, scalar, compiler, flags):
-    """The function of the shared file, over arrays."""
+def compiled(folder, function, scalar, compiler, flags):
+    """A function of the shared file, over arrays."""
     table = spread.specs(scalar)["kf_functions"].to_dict()
     table["code"]["elementary"] = "shared"
     stem = f"fkgen_elementary_{scalar}"
@@ -35,7 +35,7 @@ void over(const {scalar} *x, {scalar} *y, long count)
     long i;
     for (i = 0; i < count; ++i)
     {{
-        y[i] = fkgen_{scalar}_sqrt(x[i]);
+        y[i] = fkgen_{scalar}_{function}(x[i]);
     }}
 }}
 """)
@@ -71,7 +71,7 @@ def arguments(scalar, count):
 @pytest.mark.parametrize("scalar", ["double", "float"])
 def test_roots_are_those_of_ieee_754(scalar, compiler, way, level, tmp_path):
     x = arguments(scalar, 20_000)
-    found = roots(tmp_path, scalar, compiler, (*WAYS[way], level))(x)
+    found = compiled(tmp_path, "sqrt", scalar, compiler, (*WAYS[way], level))(x)
     expected = np.sqrt(x)
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(np.signbit(found)[x == 0], np.signbit(x[x == 0]))
@@ -80,13 +80,47 @@ def test_roots_are_those_of_ieee_754(scalar, compiler, way, level, tmp_path):
 def test_digits_give_the_root_of_every_significand_of_a_float(tmp_path):
     bits = np.arange(0x3F800000, 0x40800000, dtype=np.uint32)  # from 1 to 4
     x = bits.view(np.float32)
-    found = roots(tmp_path, "float", next(iter(C_COMPILERS)), ("-DFKGEN_NO_ASM", "-O2"))(x)
+    found = compiled(tmp_path, "sqrt", "float", next(iter(C_COMPILERS)), ("-DFKGEN_NO_ASM", "-O2"))(
+        x
+    )
     np.testing.assert_array_equal(found, np.sqrt(x))
 
 
 @pytest.mark.exhaustive
 def test_digits_give_the_root_of_every_float(tmp_path):
-    over = roots(tmp_path, "float", next(iter(C_COMPILERS)), ("-DFKGEN_NO_ASM", "-O2"))
-    for high in range(0, 1 << 16, 1 << 8):
-        x = np.arange(high << 16, (high + (1 << 8)) << 16, dtype=np.uint64).astype(np.uint32)
-        np.testing.assert_array_equal(over(x.view(np.float32)), np.sqrt(x.view(np.float32)))
+    over = compiled(tmp_path, "sqrt", "float", next(iter(C_COMPILERS)), ("-DFKGEN_NO_ASM", "-O2"))
+    for x in every_float(1):
+        np.testing.assert_array_equal(over(x), np.sqrt(x))
+
+
+def every_float(stride):
+    """All floats, or one of so many, in pieces."""
+    for first in range(0, 1 << 32, 1 << 24):
+        bits = np.arange(first, first + (1 << 24), stride, dtype=np.uint64)
+        yield bits.astype(np.uint32).view(np.float32)
+
+
+#: Units in the last place that a float may err by: half of one, and what the polynomial adds.
+#: Angles up to 100; beyond it the last digits of pi count too, near zeros of the function.
+ULPS = {"exp": 0.97, "log": 0.85, "sin": 0.95, "cos": 0.95, "asin": 0.75, "acos": 0.75}
+NUMPY = {"asin": np.arcsin, "acos": np.arccos}
+
+
+@pytest.mark.parametrize("stride", [251, pytest.param(1, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("function", ULPS)
+def test_floats_err_by_less_than_one_unit(function, stride, tmp_path):
+    over = compiled(tmp_path, function, "float", next(iter(C_COMPILERS)), ("-O2",))
+    reference = NUMPY.get(function) or getattr(np, function)
+    for x in every_float(stride):
+        exact, found = reference(x.astype(np.float64)), over(x)
+        allowed = np.spacing(np.abs(exact).astype(np.float32)).astype(float)
+        if function in {"sin", "cos"}:
+            far = np.abs(x) > 100.0
+            exact[np.abs(x) > 1e5] = np.nan
+            allowed[far] += np.abs(x[far]) * 2.0**-53
+        with np.errstate(over="ignore"):
+            np.testing.assert_array_equal(np.isnan(found), np.isnan(exact))
+            finite = np.isfinite(exact.astype(np.float32))
+        np.testing.assert_array_equal(found[~finite], exact[~finite].astype(np.float32))
+        errors = np.abs(found[finite] - exact[finite])
+        assert np.all(errors <= ULPS[function] * allowed[finite])

@@ -1,0 +1,1 @@
+"""`code.fma`: products that are rounded together with the sum they go into."""
