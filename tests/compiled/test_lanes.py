@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import sensor_specs
 import spread
-from plants import generated
+from plants import generated, random_model, spec
 from toolchain import C_COMPILERS, needs_compiler, thorough
 
 import fkgen
@@ -19,6 +19,8 @@ from fkgen.runtime import batch as batches
 pytestmark = needs_compiler()
 
 M, T = 11, 24
+
+DENSE = random_model(75, 9, 5, correlated=True)
 
 JUMPING = {
     "jump_plain": {},
@@ -33,6 +35,8 @@ def specs(scalar):
     code = {"scalar": scalar}
     table = jump_plants.random_table(71, 2, 2, 2, q=1, offsets=True, correlated=True)
     found = dict(spread.specs(scalar)) | dict(sensor_specs.every(scalar))
+    for name, model in (("kf_fused", random_model(73, 4, 3)), ("kf_fused_dense", DENSE)):
+        found[name] = spec(model, family="kf", code=code | {"fma": True})
     for case in nonlinear_specs.CASES:
         for family in ("ekf", "ukf", "iekf"):
             found[f"{case}_{family}"] = nonlinear_specs.spec_of(case, family, code=code)
@@ -43,7 +47,18 @@ def specs(scalar):
 
 
 NAMES = tuple(specs("double"))
-FEW = ["kf", "kf_correlated", "dfcf_groups", "mme", "imm_product", "attitude_ekf", "jump_nis"]
+FEW = [
+    "kf",
+    "kf_correlated",
+    "kf_dense",
+    "kf_sparse",
+    "kf_fused_dense",
+    "dfcf_groups",
+    "mme",
+    "imm_product",
+    "attitude_ekf",
+    "jump_nis",
+]
 
 
 def batch(plant, seed=8):

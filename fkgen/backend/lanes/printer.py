@@ -63,9 +63,11 @@ class LanesPrinter(StatementPrinter):
         return text
 
     def lane_heading(self, node: ir.Heading, _: Branch) -> str:
+        """A comment."""
         return f"/* {node.text} */"
 
     def lane_operate(self, node: ir.Operate, _: Branch) -> str:
+        """An operation; a logarithm that nobody may have asked for depends on that."""
         value = self.computed(node.operator, node.arguments)
         if ports := self.needless.get(node.target):
             places = [i for i, port in enumerate(self.program.ports) if port.name in ports]
@@ -74,9 +76,11 @@ class LanesPrinter(StatementPrinter):
         return f"const {self.lane_type} {self.operand(node.target)} = {value};"
 
     def lane_copy(self, node: ir.Copy, _: Branch) -> str:
+        """A value that is kept."""
         return f"const {self.lane_type} {self.operand(node.target)} = {self.vector(node.value)};"
 
     def lane_assign(self, node: ir.Assign, branch: Branch) -> str:
+        """An element gets a value."""
         return self._stored(self.operand(node.target), self.vector(node.value), branch)
 
     def _stored(self, target: str, value: str, branch: Branch) -> str:
@@ -97,12 +101,14 @@ class LanesPrinter(StatementPrinter):
         return "\n".join(f"bad |= {inside}~{test};" for test in tests)
 
     def lane_ifpresent(self, node: ir.IfPresent, branch: Branch) -> str:
+        """A branch of the lanes that have a row of y."""
         if isinstance(node.row, ir.RowArgument):
             raise InternalError("a row of a routine in a program")
         mask = "any_row" if node.row is None else f"present[{node.row}]"
         return self._under(mask, node.body, branch)
 
     def lane_ifpositive(self, node: ir.IfPositive, branch: Branch) -> str:
+        """A branch of the lanes in which a value is positive."""
         mask = f"({self.mask_type})({self.vector(node.value)} > {self.literal(0.0)})"
         return self._under(mask, node.body, branch)
 
@@ -119,6 +125,7 @@ class LanesPrinter(StatementPrinter):
         return f"{{\n    const {self.mask_type} {name} = {both};\n{asked}\n}}"
 
     def lane_for(self, node: ir.For, branch: Branch) -> str:
+        """A loop, the same in all lanes."""
         head = f"for (int {node.index} = {node.begin}; {node.index} < {node.end}; ++{node.index})"
         return f"{head}\n{{\n{self.body(node.body, branch)}\n}}"
 
