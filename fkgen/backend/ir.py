@@ -448,6 +448,7 @@ class CProgram:
     fma: bool = False  # Whether it calls fma() of C
     #: Inputs of one level, and y along the path that they lead from x0 on without any noise
     paths: tuple[tuple[float, tuple[tuple[float, ...], ...]], ...] = ()
+    optimise: Either["speed", "size"] = "speed"
 
     @property
     def errors(self) -> tuple[Signal, ...]:
