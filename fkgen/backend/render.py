@@ -294,7 +294,9 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
     """Names, constants, and which functions there are; sqrt where hypot needs it."""
     needs = {op.value: op in functions for op in Operator if op.is_function}
     needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
-    needs["exp"] = needs["exp"] or needs["sinh"] or needs["cosh"] or needs["tanh"]
+    needs["grown"] = needs["sinh"] or needs["cosh"] or needs["tanh"]
+    needs["quotient"] = needs["tan"] or needs["grown"]
+    needs["excess"] = needs["atan2"] or needs["quotient"]
     needs["arc"] = needs["asin"] or needs["acos"]
     needs["sqrt"] = needs["sqrt"] or needs["arc"] or needs["hypot"]
     return {
@@ -311,7 +313,6 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "shared": f"{SHARED}{c.real}" if functions and c.elementary != c.name else "",
         "ln2": math.log(2.0),
         "pi": math.pi,
-        "half_e": 0.5 * math.e,
     }
 
 
