@@ -32,6 +32,7 @@ class Format:
     exp: tuple[float, ...]  # q(r) with exp(r) = 1 + r + r r q(r)
     sin: tuple[float, ...]  # p(z) with sin(r) = r + r z p(z), z = r r
     cos: tuple[float, ...]  # p(z) with cos(r) = 1 - z/2 + z z p(z)
+    tan: tuple[float, ...]  # p(z) with 2 tan(r/2) = r + r z p(z), z = r r
     atan: tuple[float, ...]  # p(z) with atan(q) = q + q z p(z), z = q q
     asin: tuple[float, ...]  # p(z) with asin(v) = v + v z p(z), z = v v
     #: ln2, half_pi, quarter_pi: The constant as a sum, leading parts with trailing zeros, so that
@@ -100,7 +101,7 @@ _hex = float.fromhex
 
 #: log, exp: Remez fits of least relative error, on (sqrt(1/2), sqrt(2)) and (-log(2)/2, log(2)/2),
 #: coefficients rounded one after the other and those left fitted anew. They err by 2e-18 and 9e-20
-#: in double, 9e-10 and 5e-9 in float.
+#: in double, 9e-10 and 5e-10 in float; tan, on (-pi/4, pi/4), by 2e-18 and 2e-9.
 FORMATS: dict[Scalar, Format] = {
     "double": Format(
         mantissa=52,
@@ -130,6 +131,11 @@ FORMATS: dict[Scalar, Format] = {
             -2.755731421479159e-07,
             2.0875705007432117e-09,
             -1.1358725475176406e-11,
+        ),
+        tan=(
+            *(0.08333333333333376, 0.008333333333305715, 0.0008432539688701921),
+            *(8.5427682865717e-05, 8.655544908352053e-06, 8.768306484372367e-07),
+            *(8.920609471371218e-08, 8.531395175155176e-09, 1.2540510025690095e-09),
         ),
         atan=(
             -0.333333333333332,
@@ -171,11 +177,12 @@ FORMATS: dict[Scalar, Format] = {
         bias=127,
         log=(0.6666677594184875, 0.39977583289146423, 0.2987079620361328),
         exp=(
-            *(0.5, 0.16666488349437714, 0.04166555032134056, 0.008372289128601551),
-            0.0014035810017958283,
+            *(0.5, 0.16666647791862488, 0.041666481643915176, 0.008337867446243763),
+            *(0.001393331796862185, 0.0001733816316118464),
         ),
         sin=(-0.16666655, 0.008332189, -0.00019518285),
         cos=(0.041666646, -0.001388731, 2.443237e-05),
+        tan=(0.08333323150873184, 0.008334930986166, 0.000835536397062242, 9.985448559746146e-05),
         atan=(-0.33333316, 0.19998528, -0.14244393, 0.1059919, -0.06090127),
         asin=(0.16666752, 0.074953094, 0.045469433, 0.024181692, 0.0421664),
         quarter_pi=(_hex("0x1.921fb00000000p-1"), _hex("0x1.5110b40000000p-23")),
@@ -193,13 +200,13 @@ def _size(x: Number) -> Number:
 
 
 def _sum(large: Number, small: Number, rest: Number) -> Pair:
-    """large + small - rest, of which the first is the largest or 0."""
+    """The sum large + small - rest, of which the first is the largest or 0, as such a pair."""
     total = large + small
     return total, ((total - large) - small) + rest
 
 
 def _joined(large: Number, small: Number, rest: Number) -> Number:
-    """large + small - rest, all but exact."""
+    """The same, all but exact."""
     total, excess = _sum(large, small, rest)
     return total - excess
 
@@ -235,7 +242,7 @@ class Elementary:
         return self._of_bits(int(x.view(self._bits)) & self.format.upper)
 
     def _excess(self, q: Number, below: Number, above: Number) -> Number:
-        """q below - above, where q is nearly their quotient, by halves of both factors."""
+        """What q below exceeds above by, where q is nearly their quotient: by halves of factors."""
         upper, part = self._upper(q), self._upper(below)
         return ((upper * part - above) + upper * (below - part)) + (q - upper) * below
 
@@ -291,12 +298,10 @@ class Elementary:
         """Square root, rounded correctly."""
         return np.sqrt(x)
 
-    def _wave(self, quarter: int, x: Number) -> Pair:
-        """Sine of x and some quarters of a turn; NaN beyond 1e5, where digits would get lost."""
+    def _reduced(self, x: Number) -> tuple[Pair, int]:
+        """r, as a pair, and k, with x = r + k pi/2."""
         real, f = self.real, self.format
-        if not abs(x) <= real(1e5):
-            return (x - x) / real(0.0), real(0.0)
-        offset, one = real(1.5 * 2.0**f.mantissa), real(1.0)
+        offset = real(1.5 * 2.0**f.mantissa)
         k = (x * real(2.0 / math.pi) + offset) - offset
         *exact, middle, small = (k * real(part) for part in f.half_pi)
         near = x
@@ -305,31 +310,46 @@ class Elementary:
         first = near - middle
         excess = ((first - near) + middle) + small
         r = first - excess
-        excess = (r - first) + excess
-        z = r * r
+        return (r, (r - first) + excess), int(k)
+
+    def _wave(self, quarter: int, x: Number) -> Number:
+        """Sine of x and some quarters of a turn; NaN beyond 1e5, where digits would get lost."""
+        real, f = self.real, self.format
+        if not abs(x) <= real(1e5):
+            return (x - x) / real(0.0)
+        (r, excess), k = self._reduced(x)
+        one, z = real(1.0), r * r
         w = z * z
-        if (int(k) + quarter) & 1:
+        if (k + quarter) & 1:
             rest = w * self._halves(f.cos, z, w) + r * excess
             z = real(0.5) * z
-            head = one - z
-            excess = (z - (one - head)) - rest
+            y = one - z
+            y = y - ((z - (one - y)) - rest)
         else:
-            head, excess = r, excess - r * (z * self._halves(f.sin, z, w))
-        y = head - excess
-        excess = (y - head) + excess
-        return (-y, -excess) if (int(k) + quarter) & 2 else (y, excess)
+            y = r - (excess - r * (z * self._halves(f.sin, z, w)))
+        return -y if (k + quarter) & 2 else y
 
-    def sin(self, x: Number) -> Number:
-        """Sine."""
-        return self._wave(0, x)[0]
-
-    def cos(self, x: Number) -> Number:
-        """Cosine."""
-        return self._wave(1, x)[0]
+    sin = partialmethod(_wave, 0)
+    cos = partialmethod(_wave, 1)
 
     def tan(self, x: Number) -> Number:
-        """Tangent."""
-        q, excess = self._quotient(self._wave(0, x), self._wave(1, x))
+        """Tangent, likewise: that of r, by half the angle, or -1 over it."""
+        real, f = self.real, self.format
+        if not abs(x) <= real(1e5):
+            return (x - x) / real(0.0)
+        (r, less), k = self._reduced(x)
+        one, z = real(1.0), r * r
+        excess = less - r * (z * self._halves(f.tan, z, z * z))
+        y = r - excess  # with what it exceeds it by, 2 tan(r/2)
+        square = y * y
+        quarter = real(0.25) * square
+        excess = ((y - r) + excess) + less * quarter
+        below = one - quarter
+        lost = real(0.5) * (y * excess) - real(0.25) * self._excess(y, y, square)
+        pair, other = (y, excess), (below, ((below - one) + quarter) - lost)
+        if k & 1:
+            pair, other = (-other[0], -other[1]), pair
+        q, excess = self._quotient(pair, other)
         return q - excess
 
     def atan2(self, y: Number, x: Number) -> Number:
@@ -401,7 +421,8 @@ class Elementary:
         high, low = a - k * real(f.ln2[0]), k * real(f.ln2[1])
         r = high - low
         z = r * r
-        low = low - z * self._halves(f.exp, r, z)
+        half = real(f.exp[0]) * z
+        low = (low - z * (r * self._halves(f.exp[1:], r, z))) - half
         head = high - low
         return (head, (head - high) + low), int(k)
 
