@@ -438,8 +438,9 @@ class Elementary:
         one, lost = _sum(real(1.0), -unit, real(0.0))
         small, excess = _sum(e[0], unit * q, e[1] + unit * excess)
         y = real(0.5) * _joined(one, small, excess + lost)
-        e, first = k + 2 * f.bias, (k + 2 * f.bias) >> 1
-        return y * self._of_bits(first << f.mantissa) * self._of_bits((e - first) << f.mantissa)
+        first = (k + 2 * f.bias) >> 1
+        second = k + 2 * f.bias - first
+        return y * self._of_bits(first << f.mantissa) * self._of_bits(second << f.mantissa)
 
     def sinh(self, x: Number) -> Number:
         """Hyperbolic sine."""
