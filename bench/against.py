@@ -14,8 +14,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-import clock
-from report import Table, times
+from harness import clock
+from harness.report import Table, times
 from rich.console import Console
 
 FLAGS = ("-std=c99", "-ffp-contract=off")

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 GENERATED = ROOT / "generated"
 
 #: Characters of a filter beyond which its header and the digests of its manifest stand for it.
-HEAVY = 500_000
+HEAVY = 300_000
 
 
 def current() -> dict[str, dict[str, str]]:

@@ -446,6 +446,7 @@ class CProgram:
     stated: Stated = Stated()
     shares_functions: bool = False
     fma: bool = False  # Whether it calls fma() of C
+    optimise: Either["speed", "size"] = "speed"
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -638,6 +639,11 @@ def places(index: Whole | None, loops: tuple[For, ...]) -> list[int | None]:
 def every(kind: type[T], body: Body) -> Iterator[T]:
     """Every statement of a kind, those under conditions too, in order."""
     return (node for node in walk(body) if isinstance(node, kind))
+
+
+def stores(body: Body) -> Iterator[Assign | OfMatrices]:
+    """Every statement that writes elements, those under conditions too, in order."""
+    return (node for node in walk(body) if isinstance(node, Assign | OfMatrices))
 
 
 def read(kind: type[T], body: Body) -> Iterator[T]:

@@ -97,6 +97,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
             fma=spec.code.fma,
+            optimise=spec.code.optimise,
             stated=stated(spec, phases),
             **lowered,
             **_signals(model),

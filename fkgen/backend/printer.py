@@ -221,7 +221,7 @@ class StatementPrinter:
             self._address(replace(element, index=_first(element)))
             for element in (node.source, node.target)
         )
-        name = f"{self.name}_{'unpack' if node.mirrored else 'pack'}"
+        name = f"{self.name}_{'unpack' if node.mirrored else 'packed'}"
         return f"{name}({first}, {second}, {_step(whole, 'i')}, {node.size});"
 
     def _product(self, node: ir.Product) -> str:

@@ -112,6 +112,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "products": any(isinstance(n, OfMatrices) for body in outlined.bodies for n in walk(body)),
+        "for_speed": "0" if program.optimise == "size" else "!defined(__OPTIMIZE_SIZE__)",
+        "for_size": "1" if program.optimise == "size" else "defined(__OPTIMIZE_SIZE__)",
         "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),

@@ -40,6 +40,7 @@ _FUNCTIONS = {
     *("correct", "close_window", "propagate", "init", "fill", "finite", "defect"),
     *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
     *("selftest", "present_rows", "params_init", "finite_params", "part"),
+    *("product", "unpack", "packed", "fused"),
     *ir.FUNCTIONS,
     *("reduced", "power_of_two", "fused"),
 }
@@ -430,7 +431,7 @@ class _Book:
 
     def _written(self, body: ir.Body) -> set[Element]:
         """Elements that statements write; of what calls write, the whole array."""
-        found = {node.target for node in ir.every(ir.Assign, body)}
+        found = {node.target for node in ir.stores(body)}
         for call in ir.every(ir.Call, body):
             pairs = zip(self.bodies[call.routine][0].arguments, call.arguments, strict=True)
             found |= {replace(own, index=None) for argument, own in pairs if argument.written}
@@ -615,7 +616,7 @@ def _uses(
     indices: dict[Variable, set[Whole | None]] = defaultdict(set)
     for element in ir.elements(statements):
         indices[element.space, element.name].add(element.index)
-    written = {(n.target.space, n.target.name) for n in ir.every(ir.Assign, statements)}
+    written = {(n.target.space, n.target.name) for n in ir.stores(statements)}
     passed = set()
     for call in ir.every(ir.Call, statements):
         for argument, element in zip(known[call.routine], call.arguments, strict=True):

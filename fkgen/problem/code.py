@@ -12,6 +12,7 @@ Scalar = Literal["double", "float"]
 Update = Literal["auto", "short", "joseph"]
 Copies = Literal["static", "shared"]
 CodeForm = Literal["auto", "straight", "loops"]
+Optimise = Literal["speed", "size"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,9 @@ class Code:
     fma: bool = False
     #: Straight lines, loops over whole matrices, or "auto": whichever is better at each place
     form: CodeForm = "auto"
+    optimise: Optimise = (
+        "speed"  # Or "size": loops for small plants too, whatever the compiler does
+    )
     #: The ports that C shows besides those that the recursion needs; all of them if None
     ports: tuple[str, ...] | None = None
 
@@ -36,6 +40,7 @@ class Code:
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
         table |= {} if self.elementary == "static" else {"elementary": self.elementary}
         table |= {"fma": True} if self.fma else {}
+        table |= {} if self.optimise == "speed" else {"optimise": self.optimise}
         table |= {} if self.form == "auto" else {"form": self.form}
         return table if self.ports is None else table | {"ports": list(self.ports)}
 
@@ -46,7 +51,7 @@ class Code:
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    known = ("scalar", "update", "elementary", "form", "fma", "ports")
+    known = ("scalar", "update", "elementary", "form", "optimise", "fma", "ports")
     section = Section(table, place, known=known)
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
@@ -54,6 +59,7 @@ def read_code(table: object, place: Place) -> Code:
         elementary=section.choice("elementary", get_args(Copies), "static"),
         fma=section.flag("fma", default=False),
         form=section.choice("form", get_args(CodeForm), "auto"),
+        optimise=section.choice("optimise", get_args(Optimise), "speed"),
         ports=_read_ports(section) if "ports" in section else None,
     )
 

@@ -25,6 +25,8 @@ MOTION = ("moved", "A", "B", "G", "variances", "moved_by")
 #: States from which on loops over whole matrices are faster than straight lines, if A has few zeros
 #: and if it has many: more than so many entries for each that is none.
 DENSE_STATES, SPARSE_STATES, SPARSE = 8, 20, 2.5
+#: The same where the text is to be small.
+SMALL_STATES = 5
 
 #: Operations that may stand in a row; a compiler gets through so many in a second.
 STRAIGHT_OPERATIONS, COMPILED_PER_SECOND = 4000, 2500
@@ -125,7 +127,8 @@ def _code_form(spec: Spec, A: ca.SX) -> CodeForm:
     operations = (2 * entries * n + entries * (n + 1) + rows) * len(spec.plants)
     if form == "auto":
         dense = n * n <= SPARSE * entries
-        many = n >= (DENSE_STATES if dense else SPARSE_STATES)
+        least = SMALL_STATES if spec.code.optimise == "size" else DENSE_STATES
+        many = n >= (least if dense else SPARSE_STATES)
         return "loops" if many or operations > STRAIGHT_OPERATIONS else "auto"
     if form == "straight" and operations > STRAIGHT_OPERATIONS:
         seconds = max(2, round(operations / COMPILED_PER_SECOND))

@@ -86,11 +86,15 @@ def test_nothing_is_computed_that_nobody_reads(name):
     kept = {port.name for port in found.ports}
     for phase in found.phases:
         used = set(ir.read(ir.Temp, phase.body)) | set(ir.read(ir.Element, phase.body))
+        moving = {e.name for e in used if isinstance(e, ir.Element) and e.moves}
         for node in ir.walk(phase.body):
             if isinstance(node, ir.Operate | ir.Copy):
                 assert node.target in used
+            if isinstance(node, ir.Product | ir.Triangle):
+                assert node.target.name in {e.name for e in used if isinstance(e, ir.Element)}
             if isinstance(node, ir.Assign):
-                assert node.target in used or node.target.space is ir.Space.NEXT
+                read = node.target in used or node.target.name in moving
+                assert read or node.target.space is ir.Space.NEXT
                 assert node.target.space is not ir.Space.NEXT or node.target.name in kept
     carried = {
         e.name

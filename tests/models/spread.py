@@ -65,7 +65,7 @@ def specs(scalar="double"):
         "kf_arithmetic": spec(CONSTANT_RATE_OF_X, family="kf", parameters=arithmetic, code=code),
         "kf_exact": spec(EXACT, family="kf", code=code),
         "kf_wide": spec(WIDE, family="kf", code=code),
-        "kf_dense": spec(random_model(75, 9, 5, correlated=True), family="kf", code=code),
+        "kf_dense": spec(random_model(75, 16, 4, correlated=True), family="kf", code=code),
         "kf_sparse": spec(LADDER, family="kf", code=code | {"form": "loops"}),
         "dfcf": soft(TWO_ALONE, host=[1], window=2, code=code),
         "dfcf_joseph": soft(TWO_ALONE, window=3, reacquire=1, code=code | {"update": "joseph"}),

@@ -109,9 +109,7 @@ class _Trace:
 
     def _forget(self, node: ir.For | ir.OfMatrices) -> None:
         """Arrays that loops or products write hold other numbers afterwards."""
-        kinds = ir.Assign, ir.Product, ir.Triangle
-        nodes = [node, *(ir.walk(node.body) if isinstance(node, ir.For) else ())]
-        written = {(e.target.space, e.target.name) for e in nodes if isinstance(e, kinds)}
+        written = {(e.target.space, e.target.name) for e in ir.stores((node,))}
         for each in [e for e in self.latest if isinstance(e, Element)]:
             if (each.space, each.name) in written:
                 del self.latest[each]

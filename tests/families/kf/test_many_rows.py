@@ -138,6 +138,31 @@ def test_the_text_does_not_grow_with_the_plant(n, p):
     assert built(n, p, "double").program.statements < 40 * n
 
 
+def test_size_comes_before_speed_where_it_is_asked_for():
+    model = {name: value.tolist() for name, value in plant(6, 3).items()}
+    table = {"name": "small", "model": model, "filter": {"family": "kf"}}
+    asked = [fkgen.Spec.from_dict(table | {"code": code}) for code in ({}, {"optimise": "size"})]
+    fast, small = (fkgen.generate(fkgen.validate(spec)) for spec in asked)
+    assert len(small.files["small.c"]) < 0.7 * len(fast.files["small.c"])
+    assert "always_inline" not in small.files["small.c"].split("#else")[-1]
+    y = record(6, 3)
+    runs = [fkgen.compile(source).run(y) for source in (fast, small)]
+    for name, values in expected(plant(6, 3), y).items():
+        for found in runs:
+            assert np.abs(found[name] - values).max() < 1e-11 * np.abs(values).max(), name
+
+
+def test_straight_lines_beyond_the_limit_are_refused_in_one_line():
+    model = {name: value.tolist() for name, value in plant(16, 4).items()}
+    table = {"name": "lengthy", "model": model, "filter": {"family": "kf"}}
+    spec = fkgen.Spec.from_dict(table | {"code": {"form": "straight"}})
+    with pytest.raises(
+        fkgen.SpecError, match=r"code\.form.*16 states.*operations.*at most 4000"
+    ) as e:
+        fkgen.validate(spec)
+    assert "\n" not in str(e.value)
+
+
 def test_the_header_says_the_form():
     assert "loops over whole matrices" in built(13, 5, "double").files["many.h"]
     source = built(4, 40, "double")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds per call of every contender in every round.
+    """Seconds of CPU per call of every contender in every round.
 
     Attributes
     ----------
@@ -45,6 +46,17 @@ def pin() -> None:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
+@contextlib.contextmanager
+def unpinned() -> Iterator[None]:
+    """All cores, for what is not measured."""
+    held = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, held)
+
+
 def take_turns(
     contenders: Mapping[str, Callable[[], object]], rounds: int, seconds: float = 0.0
 ) -> Times:
@@ -58,9 +70,9 @@ def take_turns(
     while len(taken[names[0]]) < rounds or time.perf_counter() - begin < seconds:
         for i in rng.permutation(len(names)):
             call = contenders[names[i]]
-            start = time.perf_counter()
+            start = time.thread_time()  # who else runs on this core does not count
             call()
-            taken[names[i]].append(time.perf_counter() - start)
+            taken[names[i]].append(time.thread_time() - start)
     return Times({name: np.array(times) for name, times in taken.items()})
 
 

@@ -9,9 +9,9 @@ import json
 import subprocess
 import sys
 
-import models
-from report import Table, verdict
-from settings import Settings
+from harness import models
+from harness.report import Table, verdict
+from harness.settings import Settings
 
 import fkgen
 

@@ -10,9 +10,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import models
-from report import Table, verdict
-from settings import Settings
+from harness import models
+from harness.report import Table, verdict
+from harness.settings import Settings
 
 _HEAVY = ("casadi", "sympy", "control", "matplotlib", "scipy")
 _IMPORT, _COLD, _CACHED = 0.25, 2.0, 0.1

@@ -8,8 +8,8 @@ import subprocess
 import sys
 import tempfile
 
-from report import Table, verdict
-from settings import Settings
+from harness.report import Table, verdict
+from harness.settings import Settings
 
 _SIMULATE, _COMPARE = 8.0, 15.0
 

@@ -7,10 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import models
 import numpy as np
-from report import Table, verdict
-from settings import Settings
+from harness import models
+from harness.report import Table, verdict
+from harness.settings import Settings
 
 import fkgen
 

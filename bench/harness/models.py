@@ -76,6 +76,60 @@ def dense(n: int, p: int) -> Spec:
     return {"name": f"dense{n}", "model": model, "filter": {"family": "kf"}}
 
 
+def chains(n: int, p: int) -> Spec:
+    """Positions and velocities pulled back by springs between neighbours; p positions measured."""
+    half, step = n // 2, 0.1
+    stiff = 0.5 * np.eye(half)
+    A = np.block([[np.eye(half), step * np.eye(half)], [-stiff * step, 0.95 * np.eye(half)]])
+    order = np.arange(n).reshape(2, half).T.ravel()
+    A = A[np.ix_(order, order)]
+    A[2:, :-2] += 0.02 * np.diag(np.arange(n - 2) % 2)
+    C = np.zeros((p, n))
+    C[np.arange(p), 2 * (np.arange(p) * half // p)] = 1.0
+    model = {
+        "A": A.tolist(),
+        "C": C.tolist(),
+        "Q": np.diag(np.tile([1e-4, 1e-3], half)).tolist(),
+        "R": np.diag(0.1 + 0.1 * np.arange(p)).round(3).tolist(),
+        "x0": [0.0] * n,
+        "P0": np.eye(n).tolist(),
+    }
+    return {"name": f"chains{n}", "model": model, "filter": {"family": "kf"}}
+
+
+def square(n: int) -> Spec:
+    """As many measurements as states; A, C, Q and R without a zero."""
+    spec = dense(n, n)
+    rng = np.random.default_rng(n + 1)
+    F = rng.normal(size=(n, n))
+    R = (0.1 * np.eye(n) + 0.01 * F @ F.T / n).round(6)
+    return {**spec, "name": f"square{n}", "model": {**spec["model"], "R": R.tolist()}}
+
+
+def navigation() -> Spec:
+    """Errors of inertial navigation: position, velocity, attitude, biases; the first two fixed."""
+    step, turn = 0.01, np.array([[0.0, -9.81, 0.3], [9.81, 0.0, -0.2], [-0.3, 0.2, 0.0]])
+    one, none = np.eye(3), np.zeros((3, 3))
+    A = np.block(
+        [
+            [one, step * one, none, none, none],
+            [none, one, step * turn, none, step * one],
+            [none, none, one, -step * one, none],
+            [none, none, none, 0.999 * one, none],
+            [none, none, none, none, 0.999 * one],
+        ]
+    )
+    model = {
+        "A": A.tolist(),
+        "C": np.eye(6, 15).tolist(),
+        "Q": np.diag(np.repeat([1e-6, 1e-4, 1e-6, 1e-8, 1e-6], 3)).tolist(),
+        "R": np.diag(np.repeat([1.0, 0.01], 3)).tolist(),
+        "x0": [0.0] * 15,
+        "P0": np.diag(np.repeat([10.0, 1.0, 0.01, 1e-4, 1e-2], 3)).tolist(),
+    }
+    return {"name": "navigation15", "model": model, "filter": {"family": "kf"}}
+
+
 def mkf() -> Spec:
     """The motor whose input acts with probability 0.7."""
     model = {**_MOTOR, **_INPUT, "C": [[0.0, 1.0]], "R": [[0.01]]}

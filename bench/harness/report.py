@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from rich.console import Console
 from rich.table import Table as RichTable
 
+#: Points (n, value) of each curve, and the unit of the values.
+Figure = tuple[dict[str, list[tuple[int, float]]], str]
+
 
 @dataclass
 class Table:
@@ -19,12 +22,15 @@ class Table:
     columns : sequence of str
     note : str
         What was measured, and what it is measured against.
+    curves : dict of str to Figure
+        Files of figures, and what they show.
     """
 
     title: str
     columns: Sequence[str]
     note: str
     rows: list[list[str]] = field(default_factory=list)
+    curves: dict[str, Figure] = field(default_factory=dict)
 
     def add(self, *cells: object) -> None:
         """Append a row."""
@@ -39,11 +45,12 @@ class Table:
             table.add_row(*row)
         console.print(table)
 
-    def markdown(self) -> str:
-        """The same as Markdown."""
+    def section(self, effort: str) -> tuple[str, str]:
+        """Title and text in Markdown; ``effort`` says how it was measured, if in no usual way."""
         rule = ["---", *["---:"] * (len(self.columns) - 1)]
         lines = [f"| {' | '.join(row)} |" for row in ([*self.columns], rule, *self.rows)]
-        return "\n".join([f"## {self.title}", "", self.note, "", *lines, ""])
+        figures = [f"![{unit}]({name})\n" for name, (_, unit) in self.curves.items()]
+        return self.title, "\n".join(["", f"{self.note}{effort}", "", *figures, *lines, "", ""])
 
 
 def ns(seconds: float) -> str:

@@ -10,8 +10,8 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import models
 import numpy as np
+from harness import models
 
 Filter = Callable[[models.Array], models.Array]
 

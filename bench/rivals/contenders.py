@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import hand
-import models
 import numpy as np
+from harness import models
+from rivals import hand
 
 import fkgen
 

@@ -6,10 +6,10 @@ import subprocess
 import time
 from pathlib import Path
 
-import contenders
-import models
-from report import Table, verdict
-from settings import Settings
+from harness import models
+from harness.report import Table, verdict
+from harness.settings import Settings
+from rivals import contenders
 
 import fkgen
 

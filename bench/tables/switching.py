@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import clock
-import contenders
-import models
 import numpy as np
-import switching_peers
-from contenders import Contender
-from report import Table, ns, times, verdict
-from settings import Settings
+from harness import clock, models
+from harness.report import Table, ns, times, verdict
+from harness.settings import Settings
+from rivals import contenders, switching_peers
+from rivals.contenders import Contender
 
 import fkgen
 

@@ -6,12 +6,11 @@ import ctypes
 import subprocess
 from collections.abc import Callable, Sequence
 
-import clock
-import contenders
-import models
 import numpy as np
-from report import Table, ns, times, verdict
-from settings import Settings
+from harness import clock, models
+from harness.report import Table, ns, times, verdict
+from harness.settings import Settings
+from rivals import contenders
 
 import fkgen
 from fkgen.symbolic.interface import Port

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import clock
-import contenders
-import models
 import numpy as np
-import peers
-from report import Table, ns, times
-from settings import Settings
+from harness import clock, models
+from harness.report import Table, ns, times
+from harness.settings import Settings
+from rivals import contenders, peers
 
 Call = Callable[[], object]
 
@@ -85,7 +83,7 @@ def against_libraries(settings: Settings) -> Table:
         ["filter", "fkgen, ns", *[f"{name} / fkgen" for name in names]],
         "gcc -O2. Eigen: fixed sizes, textbook form, Cholesky of S. filterpy: `update` and "
         "`predict`. numba: the textbook in NumPy under `njit`, one call per record. NumPy: the "
-        "same, interpreted.",
+        "same, interpreted. statsmodels and simdkalman where they are installed.",
     )
     for title, spec in models.kf_models().items():
         y, u = models.record(spec, _SAMPLES[models.width(spec)[0]])
@@ -105,7 +103,7 @@ def against_libraries(settings: Settings) -> Table:
             runs["Eigen"] = _bound(eigen, y, u)
             results["Eigen"] = eigen(few, u)
         for name, run in peers.available(spec).items():
-            record = y if "numba" in name else few
+            record = y if name in peers.whole_records() else few
             runs[name], samples[name] = _bound(run, record), len(record)
             results[name] = float(run(few)[0])
         _agree({"fkgen": fkgen(few, u), **results}, spec["name"])

@@ -8,15 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import clock
-import contenders
-import models
-from report import Table, ns, verdict
-from settings import Settings
+from harness import clock, models
+from harness.report import Table, ns, verdict
+from harness.settings import Settings
+from rivals import contenders
 
 import fkgen
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 _RATE, _SAMPLES = 1.2, 4000
 _REFERENCE = "kf n6 p3, full"
 
