@@ -222,7 +222,7 @@ class StatementPrinter:
             for element in (node.source, node.target)
         )
         name = f"{self.name}_{'unpack' if node.mirrored else 'packed'}"
-        return f"{name}({first}, {second}, {_step(whole, 'i')}, {node.size});"
+        return f"{name}({first}, {second}, {step_of(whole, 'i')}, {node.size});"
 
     def _product(self, node: ir.Product) -> str:
         """A call of the function for products; what is read element by element has two strides."""
@@ -232,7 +232,7 @@ class StatementPrinter:
             if element is None:
                 given += ["NULL", "0"]
                 continue
-            steps = [_step(element, variable) for variable in "ijk"]
+            steps = [step_of(element, variable) for variable in "ijk"]
             given.append(self._address(replace(element, index=_first(element))))
             given += [str(steps["ijk".index(variable)]) for variable in variables]
             if element is not node.left and node.columns > 1 and steps[1] != 1:
@@ -355,7 +355,7 @@ def _first(element: Element) -> int:
     return int(value(element.index or 0, dict.fromkeys("ijk", 0)))
 
 
-def _step(element: Element, variable: str) -> int:
+def step_of(element: Element, variable: str) -> int:
     """How far it moves with an index."""
     one = {**dict.fromkeys("ijk", 0), variable: 1}
     return int(value(element.index or 0, one)) - _first(element)

@@ -24,6 +24,7 @@ from fkgen.backend.ir import (
     read,
     walk,
 )
+from fkgen.backend.lanes.text import WHOLE, lanes_text
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
@@ -72,7 +73,9 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     files = complete(files, _facts(program, claims) | {"bytes": context["bytes"]})
     record = filled("record.c.j2", context)
-    return Source(program=program, files=files, record=record, claims=claims)
+    alone = elementary_context(Printer(program), program.functions - WHOLE)
+    lanes = lanes_text(program, context, alone)
+    return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 
 def _context(program: CProgram) -> dict[str, object]:

@@ -41,6 +41,8 @@ class Source:
         Text by file name: header, source, self-test, build file, manifest.
     record : str
         C that runs a record, compiled for Python only.
+    lanes : str
+        C that runs several records at once in the lanes of vectors, likewise; empty if too large.
     claims : tuple of str
         What was proved about the filter.
     """
@@ -48,6 +50,7 @@ class Source:
     program: CProgram
     files: Mapping[str, str]
     record: str
+    lanes: str
     claims: tuple[str, ...]
 
     def write(self, directory: str | os.PathLike[str]) -> Path:

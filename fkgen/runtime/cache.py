@@ -18,6 +18,9 @@ LIBRARY = "filter.so"
 LAYOUT = "layout.json"
 EQUATIONS = "equations.json"  # of a plant that has some, to explain refusals by
 
+#: Lines of /proc/cpuinfo that decide about instructions, on x86 and on ARM.
+_TELLING = frozenset(("model name", "flags", "Features", "CPU implementer", "CPU part"))
+
 #: Age in seconds at which an unfinished build is nobody's any more.
 ABANDONED = 86400.0
 
@@ -42,6 +45,21 @@ def own_digest() -> str:
             digest.update(f"{path.relative_to(root)}\n".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+@cache
+def processor() -> str:
+    """What the processor is and can do, as far as the system tells; empty if it does not.
+
+    Compiled code is for processors of one kind, and a home directory may be shared by several.
+    """
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    first, *_ = text.split("\n\n")
+    told = (line.partition(":") for line in first.splitlines())
+    return "; ".join(what.strip() for name, _, what in told if name.strip() in _TELLING)
 
 
 def key_of(*parts: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -15,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused, of_type
 from fkgen.runtime import cache, record
+from fkgen.runtime.batch import Batch, Lanes, of_records
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
-from fkgen.runtime.start import Priors, own_bytes, priors
+from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
@@ -63,14 +65,13 @@ class CompiledFilter:
         self.claims = layout.claims
         path, pointer = str(entry / cache.LIBRARY), ctypes.c_void_p
         whole, short = ctypes.CDLL(path), ctypes.PyDLL(path)  # a short call keeps Python's lock
-        self._record = whole[f"{layout.name}_record"]
-        self._record.argtypes = (pointer, ctypes.c_int64, *[pointer] * 7)
-        self._record.restype = None
-        calls = ("init", "start", "step", "update", "predict")
-        found = [short[f"{layout.name}_call_{name}"] for name in calls]
-        self._init, self._start, self._step, self._update, self._predict = found
-        if layout.own_prior:
-            self._prior = short[f"{layout.name}_call_prior"]
+        self._records = of_records(whole[f"{layout.name}_call_records"])
+        alone = ctypes.cast(whole[f"{layout.name}_call_alone"], pointer)
+        found = [short[f"{layout.name}_call_{name}"] for name in ("step", "update", "predict")]
+        self._step, self._update, self._predict = found
+        self._begin = whole[f"{layout.name}_call_starts"]
+        self._begin.argtypes = tuple(c for _ in range(4) for c in (pointer, ctypes.c_int64))
+        self._lanes = Lanes(entry, layout, alone)
         self._type = layout.structure()
         if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
@@ -136,13 +137,12 @@ class CompiledFilter:
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         found = self._room((len(measured),), keep)
-        instance = self._starts(start, given)[0]
-        self._filter(instance, (measured, driven), given, found)
+        self._filter(self._starts(start, given), (measured, driven), given, found)
         return found
 
     def pieces(self, keep: Sequence[str] | None = None) -> Pieces:
         """What filters a record piece by piece, as `run` the whole of it."""
-        latest: list[bytes] = []
+        latest: list[NDArray[np.uint8]] = []
         before: list[Any] = []
 
         def piece(y: ArrayLike, u: ArrayLike | None, params: Mapping[str, ArrayLike] | None) -> Run:
@@ -150,9 +150,10 @@ class CompiledFilter:
             driven = record.inputs(self.layout, u, len(measured))
             given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
             found = self._room((len(measured),), keep)
-            start = latest.pop() if latest else self._starts(None, given)[0]
-            before[:] = start, (measured, driven), given, found.status
-            latest.append(self._filter(start, (measured, driven), given, found))
+            if not latest:
+                latest.append(self._starts(None, given))
+            before[:] = latest[0].copy(), (measured, driven), given, found.status
+            self._filter(latest[0], (measured, driven), given, found)
             return found
 
         def reason(k: int) -> str:
@@ -160,11 +161,11 @@ class CompiledFilter:
             if Status(int(status[k])) not in _EXPLAINED:
                 return ""
             earlier = [values[:k] if values.size > 1 else values for values in given]
-            instance = self._filter(start, (y[:k], u[:k]), earlier, self._room((k,), ()))
+            self._filter(start, (y[:k], u[:k]), earlier, self._room((k,), ()))
             now = (float(values[k if values.size > 1 else 0]) for values in given)
             names = (name for name, _ in self.layout.parameters)
             other = copy(self)
-            other.restore(Snapshot(self.layout, instance, 0))
+            other.restore(Snapshot(self.layout, bytes(start[0]), 0))
             try:
                 other.step(y[k], u[k] if self._driven else None, dict(zip(names, now, strict=True)))
             except StepRefused as refused:
@@ -210,18 +211,12 @@ class CompiledFilter:
             self.layout.parameters, params, shape[1], self._dtype, records=shape[0]
         )
         found = self._room(shape, keep)
-        instances = self._starts(start, given, shape[0])
-
-        def work(start: int, stop: int) -> None:
-            for m in range(start, stop):
-                each = driven[m] if driven is not None and driven.ndim == 3 else driven
-                ready = record.inputs(self.layout, each, shape[1])
-                told = [p[m] if p.ndim == 2 else p for p in given]
-                ports = {name: found[name][m] for name in found}
-                part = Run(ports, found.status[m], found.held[m])
-                self._filter(instances[m % len(instances)], (records[m], ready), told, part)
-
-        in_blocks(work, shape[0], max(1, BLOCK // max(1, shape[1])), advance)
+        starts = self._starts(start, given, shape[0])
+        batch = self._batch(starts, (records, driven), given, found)
+        filtered = self._lanes.taking(*shape) or self._records
+        width = self._lanes.width
+        size = width * max(1, BLOCK // (width * max(1, shape[1])))
+        in_blocks(lambda *some: filtered(batch, *some), shape[0], size, advance)
         return found
 
     def step(
@@ -304,9 +299,10 @@ class CompiledFilter:
         StepRefused
             If C refuses the prior; the instance is unchanged.
         """
-        self._place_parameters(params or {})
         given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
-        self._begin(self._call, priors(self.layout, given), 0)
+        told = record.values_of(self.layout.parameters, params, 1, self._dtype)
+        data = self._starts(given, told)
+        ctypes.memmove(ctypes.addressof(self._instance), data.ctypes.data, data.size)
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -360,70 +356,68 @@ class CompiledFilter:
 
     def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
         ports = record.kept(self.layout, keep)
+        cells = sum(math.prod(p.shape) * np.dtype(self.layout.dtype_of(p)).itemsize for p in ports)
+        size = math.prod(shape) * (cells + np.dtype(np.int32).itemsize + 1)
+        what = " x ".join(map(str, shape))
+        record.afford("keep", f"{len(ports)} ports of {what} samples: {size / 2**30:.3g} GiB", size)
         values = {
             port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
         }
-        return Run(values, np.empty(shape, np.int32), np.empty(shape, np.bool_))
+        return Run(values, np.zeros(shape, np.int32), np.zeros(shape, np.bool_))
 
     def _starts(
         self,
         start: Snapshot | Mapping[str, ArrayLike] | None,
         parameters: list[Array],
         records: int | None = None,
-    ) -> list[bytes]:
-        """Instances to start from: one, or one for each record."""
+    ) -> NDArray[np.uint8]:
+        """Instances to start from, (1, bytes), or (M, bytes) with one for each record."""
         if isinstance(start, Snapshot):
-            return [own_bytes(self.layout, start)]
+            return np.frombuffer(bytearray(own_bytes(self.layout, start)), np.uint8)[np.newaxis]
         prior = priors(self.layout, {} if start is None else start, records)
-        of_each = [len(each) for each in prior if each is not None]
-        count = max([1, *of_each, *(len(values) for values in parameters if values.ndim == 2)])
-        instance, first = self._type(), type(self._parameters)()
-        call, found = ctypes.byref(self._given(instance, first)), []
-        for m in range(count):
-            for i, values in enumerate(parameters):
-                of_m = values[m] if values.ndim == 2 else values
-                first[i] = of_m[0] if len(of_m) else self.layout.parameters[i][1]
-            self._begin(call, prior, m)
-            found.append(bytes(instance))
-        return found
-
-    def _begin(self, call: Any, prior: Priors, m: int) -> None:
-        """Start the instance of a call from the prior of the spec, or from that of a record."""
-        if all(each is None for each in prior):
-            self._accepted(self._init(call))
-            return
-        own = [np.array(each, self._dtype) for each in self.layout.prior]
-        places = [ctypes.c_void_p(each.ctypes.data) for each in own]
-        if self.layout.own_prior and any(each is None for each in prior):
-            self._accepted(self._prior(call, *places))
-        for place, each in zip(own, prior, strict=True):
-            if each is not None:
-                place[:] = each[m % len(each)]
-        self._accepted(self._start(call, *places))
+        rows = [np.atleast_2d(values) for values in parameters]
+        rows = [
+            row if row.shape[1] else np.array([[default]], self._dtype)
+            for row, (_, default) in zip(rows, self.layout.parameters, strict=True)
+        ]
+        count = max(len(each) for each in (*rows, *prior, (1,)) if each is not None)
+        instances = np.empty((count, ctypes.sizeof(self._type)), np.uint8)
+        steps = np.array([row.shape[1] if len(row) > 1 else 0 for row in rows], np.int64)
+        places = np.array([row.ctypes.data for row in rows], np.uintp)
+        given: list[int | None] = []
+        for each in prior:
+            given += (
+                [None, 0] if each is None else [each.ctypes.data, len(each) > 1 and each[0].size]
+            )
+        at = instances.ctypes.data
+        self._accepted(self._begin(at, count, places.ctypes.data, steps.ctypes.data, *given))
+        return instances
 
     def _accepted(self, status: int) -> None:
         if status < 0:
             self._refuse(status)
 
     def _filter(
-        self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
-    ) -> bytes:
-        """Filter y and u; return the instance as it is afterwards."""
-        instance = self._type.from_buffer_copy(start)
-        count = max(1, len(parameters))
-        out = [found[p.name].ctypes.data if p.name in found else None for p in self.layout.ports]
-        self._record(
-            ctypes.addressof(instance),
-            len(data[0]),
-            (ctypes.c_void_p * count)(*[values.ctypes.data for values in parameters]),
-            (ctypes.c_int64 * count)(*[values.size > 1 for values in parameters]),
-            data[1].ctypes.data,
-            data[0].ctypes.data,
-            (ctypes.c_void_p * len(out))(*out),
-            found.status.ctypes.data,
-            found.held.ctypes.data,
-        )
-        return bytes(instance)
+        self,
+        starts: NDArray[np.uint8],
+        data: tuple[Array, Array],
+        parameters: list[Array],
+        found: Run,
+    ) -> None:
+        """Filter y and u; the instance moves on."""
+        self._records(self._batch(starts, (data[0][np.newaxis], data[1]), parameters, found), 0, 1)
+
+    def _batch(
+        self,
+        starts: NDArray[np.uint8],
+        data: tuple[Array, Array],
+        parameters: list[Array],
+        found: Run,
+    ) -> Batch:
+        """What C is given of records and of the places of results."""
+        wanted = {name: found[name] for name in found.ports}
+        out = [wanted.get(port.name) for port in self.layout.ports]
+        return Batch.of(starts, data, parameters, (out, found.status, found.held))
 
     def _refuse(self, status: int, parts: str = "") -> NoReturn:
         found, reason = Status(status), self._reason(status, parts)

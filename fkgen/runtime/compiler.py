@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot
 
-#: Operations in the text of a step beyond which -O2 takes longer to compile than anyone waits.
+#: The name under which compilers know the processor that they run on.
+NATIVE = "native"
+
+#: Operations in the text of a step beyond which -O3 takes longer to compile than anyone waits.
 LARGE = 8000
 
 _FLAGS = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
@@ -66,14 +70,25 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
     real = Path(path).resolve()
     stat = real.stat()
     flags = os.environ.get("FKGEN_CFLAGS", "").split()
-    identity = " ".join([f"{real}:{stat.st_size}:{stat.st_mtime_ns}", *flags])
+    known = [f"{real}:{stat.st_size}:{stat.st_mtime_ns}", cache.processor()]
+    identity = " ".join([*known, *flags])
     return Compiler(command, identity, tuple(flags))
 
 
 def compile_shared(compiler: Compiler, source: Path, library: Path, *, statements: int) -> None:
-    """Compile one file into a shared library."""
-    optimisation = "-O2" if statements <= LARGE else "-O1"
-    flags = (*_FLAGS, optimisation, *compiler.flags)
+    """Compile one file into a shared library, for this processor where the compiler knows it."""
+    optimisation = "-O3" if statements <= LARGE else "-O1"
+    own = (*_FLAGS, optimisation)
+    known = (f"-march={NATIVE}",) if cache.processor() else ()
+    try:
+        _compile(compiler, (*own, *known, *compiler.flags), source, library)
+    except CompilerError:
+        if not known:
+            raise
+        _compile(compiler, (*own, *compiler.flags), source, library)
+
+
+def _compile(compiler: Compiler, flags: tuple[str, ...], source: Path, library: Path) -> None:
     command = [*compiler.command, *flags, str(source), "-lm", "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
@@ -91,6 +106,7 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     program = source.program
     layout = layout_of(program, source.claims)
     texts = {**source.files, f"{program.name}_record.c": source.record}
+    texts |= {f"{program.name}_lanes.c": source.lanes} if source.lanes else {}
     texts |= {cache.EQUATIONS: text} if (text := program.stated.equations) else {}
     return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
 
@@ -103,6 +119,25 @@ def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler
         compile_shared(compiler, record, folder / cache.LIBRARY, statements=layout.statements)
 
     return cache.store(key, fill)
+
+
+def lanes_library(source: Path, statements: int, *, build: bool) -> Path | None:
+    """The library over lanes of an entry; None if there is none.
+
+    It is compiled, if it is not there yet, where ``build`` says so. Its name holds the compiler and
+    the processor: a folder of the cache may be shared by machines.
+    """
+    try:
+        compiler = find_compiler()
+        library = source.with_name(f"lanes-{cache.key_of(compiler.identity)[:12]}.so")
+        if build and source.exists() and not library.exists():
+            with tempfile.TemporaryDirectory(prefix=".building-", dir=source.parent) as folder:
+                made = Path(folder) / library.name
+                compile_shared(compiler, source, made, statements=statements)
+                made.replace(library)
+        return library if library.exists() else None
+    except (CompilerError, OSError):  # a batch does without
+        return None
 
 
 def revived(key: str, texts: Mapping[str, str], snapshot: Snapshot) -> CompiledFilter:
@@ -131,5 +166,6 @@ def compile_source(source: Source) -> CompiledFilter:
 
     of_type("source", source, Source, "what fkgen.generate returns")
     compiler = find_compiler()
-    key = cache.key_of(source.record, *source.files.values(), compiler.identity)
+    texts = (source.record, source.lanes, *source.files.values())
+    key = cache.key_of(*texts, compiler.identity)
     return CompiledFilter(cache.find(key) or make(key, source, compiler))

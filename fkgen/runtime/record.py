@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import os
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,6 +22,9 @@ Array = NDArray[np.floating]
 
 _QUICK = frozenset((float, int, list, tuple))  # types of which most samples are
 _INPUT = "an input is never missing"
+
+#: Bytes from which on a copy of what is given is worth a warning.
+NOTED = 2**28
 
 
 def numbers(
@@ -87,20 +92,59 @@ def inputs(layout: Layout, u: Any, samples: int) -> Array:
     return array
 
 
-def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array | None]:
-    """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
+def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array]:
+    """Measurements (M, T, p), and inputs (M, T, q) or, for all records, (T, q)."""
     dtype, p = layout.dtype, len(layout.outputs)
-    records = numbers("y", _each("y", y, layout.outputs), dtype, layout.outputs)
+    given = _each("y", y, layout.outputs)
+    note_copy("y", given, dtype)
+    records = numbers("y", given, dtype, layout.outputs)
     if records.ndim != 3 or records.shape[2] != p:
         expected = f"shape (M, T, {p}){_listed(layout.outputs)}"
         raise DataError("y", given=f"shape {records.shape}", expected=expected)
-    driven = None
-    if u is not None and (layout.inputs or _size(u)):
-        driven = numbers("u", _each("u", u, layout.inputs), dtype, layout.inputs, role=_INPUT)
-    if driven is not None and driven.ndim == 3 and len(driven) != len(records):
-        given, expected = f"{len(driven)} records", f"{len(records)}, as y has"
-        raise DataError("u", given=given, expected=expected)
+    M, T = records.shape[:2]
+    if u is None or not (layout.inputs or _size(u)):
+        return records, inputs(layout, u, T)
+    given = _each("u", u, layout.inputs)
+    note_copy("u", given, dtype)
+    driven = numbers("u", given, dtype, layout.inputs, role=_INPUT)
+    if driven.ndim != 3:
+        return records, inputs(layout, driven, T)
+    if len(driven) != M:
+        raise DataError("u", given=f"{len(driven)} records", expected=f"{M}, as y has")
+    for first in driven[:1]:
+        inputs(layout, first, T)
     return records, driven
+
+
+def memory() -> int:
+    """Bytes of memory of this machine; 0 if it does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0
+
+
+def note_copy(what: str, value: Any, dtype: type[np.floating]) -> None:
+    """Say so where a large array has to be copied, before it is; refuse what has no room."""
+    if not isinstance(value, np.ndarray) or (value.dtype == dtype and value.flags.c_contiguous):
+        return
+    size = value.size * np.dtype(dtype).itemsize
+    afford(what, f"numbers whose copy takes {_gigabytes(size)}", size)
+    if size >= NOTED:
+        kind = np.dtype(dtype).name
+        text = f"{what} is copied ({_gigabytes(size)}): a C-contiguous array of {kind} is not"
+        warnings.warn(text, stacklevel=4)
+
+
+def afford(what: str, given: str, size: int) -> None:
+    """Refuse what this machine has no memory for."""
+    if 0 < memory() < size:
+        expected = f"at most {_gigabytes(memory())}, the memory of this machine"
+        raise DataError(what, given=given, expected=f"{expected}: fewer ports or records at a time")
+
+
+def _gigabytes(size: int) -> str:
+    return f"{size / 2**30:.3g} GiB"
 
 
 def sample(what: str, value: Any, names: Sequence[str], dtype: type[np.floating]) -> Array:

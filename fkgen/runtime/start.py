@@ -55,7 +55,7 @@ def priors(layout: Layout, start: Any, records: int | None = None) -> Priors:
         covariances = _stacked("P0", P0, (ne, ne), layout, records)
         rows, columns = np.tril_indices(ne)
         packed = np.ascontiguousarray(covariances[:, rows, columns])
-        for m, covariance in enumerate(covariances):
+        for m, covariance in enumerate(() if _definite(covariances, kind) else covariances):
             name = f"P0[{m}]" if len(covariances) > 1 else "P0"
             _check(name, np.asarray(covariance, float), kind)
     return means, packed
@@ -90,6 +90,20 @@ def _check_rotations(layout: Layout, means: NDArray[np.float64]) -> None:
             place = f"x0[{m}, {at}]" if len(means) > 1 else f"x0[{at}]"
             given = f"four numbers of length {lengths[m]:.6g}"
             raise DataError(place, given=given, expected=expected)
+
+
+def _definite(covariances: Array, kind: type[np.floating]) -> bool:
+    """Whether all of them are plainly positive definite, which is quickly seen."""
+    whole = np.asarray(covariances, float)
+    scale = np.sqrt(np.abs(np.diagonal(whole, axis1=1, axis2=2)))
+    allowed = ASYMMETRY * np.finfo(kind).eps * scale[:, :, None] * scale[:, None, :]
+    if (np.abs(whole - whole.swapaxes(1, 2)) > allowed).any():
+        return False
+    try:
+        np.linalg.cholesky(whole)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _check(what: str, covariance: NDArray[np.float64], kind: type[np.floating]) -> None:

@@ -72,7 +72,7 @@ def test_flags_of_the_variable_come_last_and_make_another_filter(
     with pytest.raises(CompilerError):
         compile_shared(find_compiler(), source, tmp_path / "filter.so", statements=1)
     words = log.read_text().split()
-    assert words.index("-O2") < words.index("-O0") < words.index("-g")
+    assert words.index("-O3") < words.index("-O0") < words.index("-g")
 
 
 def test_an_empty_variable_says_nothing(path, monkeypatch):
@@ -162,7 +162,7 @@ def test_a_compiler_that_does_not_come_back_is_an_error(path, source, tmp_path, 
         compile_shared(Compiler((slow,), ""), source, tmp_path / "filter.so", statements=1)
 
 
-@pytest.mark.parametrize(("statements", "level"), [(10, "-O2"), (compiler.LARGE + 1, "-O1")])
+@pytest.mark.parametrize(("statements", "level"), [(10, "-O3"), (compiler.LARGE + 1, "-O1")])
 def test_flags_keep_the_bits_and_hide_what_is_not_exported(
     path, source, tmp_path, statements, level
 ):

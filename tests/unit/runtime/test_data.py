@@ -10,6 +10,7 @@ from plants import PARAMETERS, SENSED, VARYING, built, motor, random_model, reco
 
 import fkgen
 from fkgen.errors import DataError, StepRefused
+from fkgen.runtime import record as checks
 
 PLANT = motor("mkf", SENSED)
 GIVEN = spec(VARYING, family="kf", parameters=PARAMETERS)
@@ -176,6 +177,31 @@ def test_a_step_with_parameters_is_a_run_with_parameters(params):
 def test_batches_that_do_not_fit_are_refused(y, u, message):
     with pytest.raises(DataError, match=message):
         built(PLANT).run_batch(y, u)
+
+
+def test_a_batch_without_records_or_samples_is_empty():
+    for shape in ((0, 5, 2), (3, 0, 2)):
+        run = built(PLANT).run_batch(np.zeros(shape), np.zeros((shape[1], 1)))
+        assert run.filtered_state.shape == (*shape[:2], 2)
+        assert run.status.shape == shape[:2]
+
+
+def test_a_batch_that_no_memory_holds_is_refused_before_it_begins(monkeypatch):
+    monkeypatch.setattr(checks, "memory", lambda: 1000)
+    with pytest.raises(DataError, match=r"keep: given 1 ports of 3 x 50 samples: .* GiB; expected"):
+        built(PLANT).run_batch(np.zeros((3, 50, 2)), np.zeros((50, 1)), keep=["filtered_state"])
+    with pytest.raises(DataError, match=r"y: given numbers whose copy takes .* GiB; expected"):
+        built(PLANT).run_batch(np.zeros((50, 3, 2)).swapaxes(0, 1), np.zeros((50, 1)))
+
+
+def test_a_large_copy_is_announced_and_has_the_same_results(monkeypatch):
+    monkeypatch.setattr(checks, "NOTED", 1000)
+    y = np.random.default_rng(1).standard_normal((50, 3, 2))
+    u = np.zeros((50, 1))
+    whole = built(PLANT).run_batch(np.ascontiguousarray(y.swapaxes(0, 1)), u)
+    with pytest.warns(UserWarning, match="y is copied .* a C-contiguous array of float64 is not"):
+        turned = built(PLANT).run_batch(y.swapaxes(0, 1), u)
+    np.testing.assert_array_equal(turned.filtered_state, whole.filtered_state)
 
 
 def test_results_are_of_the_scalar_type_of_the_filter():

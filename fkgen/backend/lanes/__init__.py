@@ -1,0 +1,1 @@
+"""The program a second time, for several records at once: one in each lane of a vector."""
