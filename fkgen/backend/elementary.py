@@ -18,6 +18,8 @@ from fkgen.backend.ir import Operator, Scalar
 
 #: A NumPy scalar of the program's type.
 Number = Any
+#: A number as a head less what the head exceeds it by.
+Pair = tuple[Number, Number]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,11 +32,9 @@ class Format:
     exp: tuple[float, ...]  # q(r) with exp(r) = 1 + r + r r q(r)
     sin: tuple[float, ...]  # p(z) with sin(r) = r + r z p(z), z = r r
     cos: tuple[float, ...]  # p(z) with cos(r) = 1 - z/2 + z z p(z)
+    tan: tuple[float, ...]  # p(z) with 2 tan(r/2) = r + r z p(z), z = r r
     atan: tuple[float, ...]  # p(z) with atan(q) = q + q z p(z), z = q q
     asin: tuple[float, ...]  # p(z) with asin(v) = v + v z p(z), z = v v
-    #: sinh, cosh: Taylor coefficients, lowest first, of z = r r
-    sinh: tuple[float, ...]
-    cosh: tuple[float, ...]
     #: ln2, half_pi, quarter_pi: The constant as a sum, leading parts with trailing zeros, so that
     #: multiples are exact
     ln2: tuple[float, float]
@@ -71,10 +71,15 @@ class Format:
         return 1.5 * 2.0**self.mantissa + 2 * self.bias
 
     @property
+    def sign(self) -> int:
+        """The bit of the sign."""
+        return 1 << (self.mantissa + self.bias.bit_length() + 1)
+
+    @property
     def upper(self) -> int:
         """A mask of the upper half of a significand, whose square is exact."""
         half = self.mantissa // 2 + 1
-        return ((1 << (self.mantissa + self.bias.bit_length() + 2)) - 1) >> half << half
+        return (2 * self.sign - 1) >> half << half
 
     @property
     def far(self) -> int:
@@ -92,23 +97,13 @@ class Format:
         return (self.mantissa + 2) // 2 * 2
 
 
-def _format(degrees: tuple[int, ...], **constants: Any) -> Format:
-    sinh, cosh = degrees
-    return Format(
-        sinh=tuple(1.0 / math.factorial(2 * k + 1) for k in range(sinh + 1)),
-        cosh=tuple(1.0 / math.factorial(2 * k) for k in range(cosh + 1)),
-        **constants,
-    )
-
-
 _hex = float.fromhex
 
 #: log, exp: Remez fits of least relative error, on (sqrt(1/2), sqrt(2)) and (-log(2)/2, log(2)/2),
 #: coefficients rounded one after the other and those left fitted anew. They err by 2e-18 and 9e-20
-#: in double, 9e-10 and 5e-9 in float.
+#: in double, 9e-10 and 5e-10 in float; tan, on (-pi/4, pi/4), by 2e-18 and 2e-9.
 FORMATS: dict[Scalar, Format] = {
-    "double": _format(
-        (9, 7),
+    "double": Format(
         mantissa=52,
         bias=1023,
         log=(
@@ -136,6 +131,11 @@ FORMATS: dict[Scalar, Format] = {
             -2.755731421479159e-07,
             2.0875705007432117e-09,
             -1.1358725475176406e-11,
+        ),
+        tan=(
+            *(0.08333333333333376, 0.008333333333305715, 0.0008432539688701921),
+            *(8.5427682865717e-05, 8.655544908352053e-06, 8.768306484372367e-07),
+            *(8.920609471371218e-08, 8.531395175155176e-09, 1.2540510025690095e-09),
         ),
         atan=(
             -0.333333333333332,
@@ -172,17 +172,17 @@ FORMATS: dict[Scalar, Format] = {
         overflow=710.0,
         underflow=-746.0,
     ),
-    "float": _format(
-        (5, 4),
+    "float": Format(
         mantissa=23,
         bias=127,
         log=(0.6666677594184875, 0.39977583289146423, 0.2987079620361328),
         exp=(
-            *(0.5, 0.16666488349437714, 0.04166555032134056, 0.008372289128601551),
-            0.0014035810017958283,
+            *(0.5, 0.16666647791862488, 0.041666481643915176, 0.008337867446243763),
+            *(0.001393331796862185, 0.0001733816316118464),
         ),
         sin=(-0.16666655, 0.008332189, -0.00019518285),
         cos=(0.041666646, -0.001388731, 2.443237e-05),
+        tan=(0.08333323150873184, 0.008334930986166, 0.000835536397062242, 9.985448559746146e-05),
         atan=(-0.33333316, 0.19998528, -0.14244393, 0.1059919, -0.06090127),
         asin=(0.16666752, 0.074953094, 0.045469433, 0.024181692, 0.0421664),
         quarter_pi=(_hex("0x1.921fb00000000p-1"), _hex("0x1.5110b40000000p-23")),
@@ -199,10 +199,16 @@ def _size(x: Number) -> Number:
     return -x if x < 0 else x
 
 
-def _joined(large: Number, small: Number, rest: Number) -> Number:
-    """The sum of three numbers, of which the first is the largest or 0, all but exact."""
+def _sum(large: Number, small: Number, rest: Number) -> Pair:
+    """The sum large + small - rest, of which the first is the largest or 0, as such a pair."""
     total = large + small
-    return total + (((large - total) + small) + rest)
+    return total, ((total - large) - small) + rest
+
+
+def _joined(large: Number, small: Number, rest: Number) -> Number:
+    """The same, all but exact."""
+    total, excess = _sum(large, small, rest)
+    return total - excess
 
 
 class Elementary:
@@ -234,6 +240,18 @@ class Elementary:
     def _upper(self, x: Number) -> Number:
         """The upper half of a significand."""
         return self._of_bits(int(x.view(self._bits)) & self.format.upper)
+
+    def _excess(self, q: Number, below: Number, above: Number) -> Number:
+        """What q below exceeds above by, where q is nearly their quotient: by halves of factors."""
+        upper, part = self._upper(q), self._upper(below)
+        return ((upper * part - above) + upper * (below - part)) + (q - upper) * below
+
+    def _quotient(self, above: Pair, below: Pair) -> Pair:
+        """The quotient of two such numbers."""
+        inverse = self.real(1.0) / below[0]
+        q = above[0] * inverse
+        excess = self._excess(q, below[0], above[0])
+        return q, ((excess + above[1]) - q * below[1]) * inverse
 
     def log(self, x: Number) -> Number:
         """Natural logarithm; NaN below zero, -infinity at zero."""
@@ -280,43 +298,64 @@ class Elementary:
         """Square root, rounded correctly."""
         return np.sqrt(x)
 
-    def _wave(self, quarter: int, x: Number) -> Number:
-        """Sine of x and some quarters of a turn; NaN beyond 1e5, where digits would get lost."""
+    def _reduced(self, x: Number) -> tuple[Pair, int]:
+        """r, as a pair, and k, with x = r + k pi/2."""
         real, f = self.real, self.format
-        if not abs(x) <= real(1e5):
-            return (x - x) / real(0.0)
-        offset, one = real(1.5 * 2.0**f.mantissa), real(1.0)
+        offset = real(1.5 * 2.0**f.mantissa)
         k = (x * real(2.0 / math.pi) + offset) - offset
         *exact, middle, small = (k * real(part) for part in f.half_pi)
         near = x
         for part in exact:
             near = near - part
         first = near - middle
-        low = ((near - first) - middle) - small
-        r = first + low
-        low = (first - r) + low
-        z = r * r
+        excess = ((first - near) + middle) + small
+        r = first - excess
+        return (r, (r - first) + excess), int(k)
+
+    def _wave(self, quarter: int, x: Number) -> Number:
+        """Sine of x and some quarters of a turn; NaN beyond 1e5, where digits would get lost."""
+        real, f = self.real, self.format
+        if not abs(x) <= real(1e5):
+            return (x - x) / real(0.0)
+        (r, excess), k = self._reduced(x)
+        one, z = real(1.0), r * r
         w = z * z
-        if (int(k) + quarter) & 1:
-            rest = w * self._halves(f.cos, z, w) - r * low
+        if (k + quarter) & 1:
+            rest = w * self._halves(f.cos, z, w) + r * excess
             z = real(0.5) * z
             y = one - z
-            y = y + (((one - y) - z) + rest)
+            y = y - ((z - (one - y)) - rest)
         else:
-            y = r + (r * (z * self._halves(f.sin, z, w)) + low)
-        return -y if (int(k) + quarter) & 2 else y
+            y = r - (excess - r * (z * self._halves(f.sin, z, w)))
+        return -y if (k + quarter) & 2 else y
 
     sin = partialmethod(_wave, 0)
     cos = partialmethod(_wave, 1)
 
     def tan(self, x: Number) -> Number:
-        """Tangent, likewise."""
-        return self.sin(x) / self.cos(x)
+        """Tangent, likewise: that of r, by half the angle, or -1 over it."""
+        real, f = self.real, self.format
+        if not abs(x) <= real(1e5):
+            return (x - x) / real(0.0)
+        (r, less), k = self._reduced(x)
+        one, z = real(1.0), r * r
+        excess = less - r * (z * self._halves(f.tan, z, z * z))
+        y = r - excess  # with what it exceeds it by, 2 tan(r/2)
+        square = y * y
+        quarter = real(0.25) * square
+        excess = ((y - r) + excess) + less * quarter
+        below = one - quarter
+        lost = real(0.5) * (y * excess) - real(0.25) * self._excess(y, y, square)
+        pair, other = (y, excess), (below, ((below - one) + quarter) - lost)
+        if k & 1:
+            pair, other = (-other[0], -other[1]), pair
+        q, excess = self._quotient(pair, other)
+        return q - excess
 
     def atan2(self, y: Number, x: Number) -> Number:
         """Angle of the point (x, y)."""
         real, f = self.real, self.format
-        a, b = _size(y), _size(x)
+        a, b = abs(y), abs(x)
         low, high = (a, b) if a <= b else (b, a)
         scale = real(1.0)  # its reciprocal is neither infinite nor subnormal then
         if high > real(2.0 ** (f.bias - 3)):
@@ -330,34 +369,32 @@ class Elementary:
         above, below = low - less, high + more
         inverse = real(1.0) / below if below > 0 else low + high  # a NaN stays one
         q = above * inverse
-        lost = (low - (above + less)) - q * ((high - below) + more)  # by difference and sum
-        upper, part = self._upper(q), self._upper(below)
-        rest = ((above - upper * part) - upper * (below - part)) - (q - upper) * below
-        rest = (rest + lost) * inverse if below - below == 0 else real(0.0)
+        lost = ((above + less) - low) + q * ((high - below) + more)  # by difference and sum
+        rest = (self._excess(q, below, above) + lost) * inverse if below - below == 0 else real(0.0)
         if not a <= b:
             q, rest, k = -q, -rest, real(2.0) - k
-        if x < 0:
+        if np.signbit(x):
             q, rest, k = -q, -rest, real(4.0) - k
         z = q * q
-        small = (q * (z * self._halves(f.atan, z, z * z)) + k * real(f.quarter_pi[1])) + rest
-        angle = _joined(k * real(f.quarter_pi[0]), q, small)
-        return -angle if y < 0 else angle
+        rest = (rest - q * (z * self._halves(f.atan, z, z * z))) - k * real(f.quarter_pi[1])
+        angle = _joined(k * real(f.quarter_pi[0]), q, rest)
+        return -angle if np.signbit(y) else angle
 
     def _arc(self, cosine: int, x: Number) -> Number:
         """Arc sine or arc cosine; NaN outside [-1, 1]."""
         real, f = self.real, self.format
         a, sign, one = _size(x), real(-1.0 if x < 0 else 1.0), real(1.0)
-        z, v, h, k, factor = x * x, x, x, real(0.0), one
+        z, v, h, k, factor = x * x, x, x, real(-0.0), one
         if a > real(0.5):
             z, k, factor = real(0.5) * (one - a), sign, real(-2.0) * sign
             v = self.sqrt(z)
             h = self._upper(v)
         if cosine:
             k, factor = one - k, -factor
-        lost = (z - h * h) / (h + v) if h + v > 0 else real(0.0)  # by the rounding of v
-        rest = factor * (v * (z * self._halves(f.asin, z, z * z)) + lost)
+        lost = (h * h - z) / (h + v) if h + v > 0 else real(0.0)  # by the rounding of v
+        rest = factor * (lost - v * (z * self._halves(f.asin, z, z * z)))
         pair = [real(2.0 * part) for part in f.quarter_pi]
-        return _joined(k * pair[0], factor * h, rest + k * pair[1])
+        return _joined(k * pair[0], factor * h, rest - k * pair[1])
 
     asin = partialmethod(_arc, 0)
     acos = partialmethod(_arc, 1)
@@ -376,33 +413,53 @@ class Elementary:
             h = h + ((square - (large + large) * d) - d * d) / (h + h)
         return real(2.0**-unit) * h
 
-    def _grown(self, a: Number) -> tuple[Number, Number]:
-        """exp(a)/2 and exp(-a)/2 for a >= 0, where exp(a) alone may overflow."""
-        real = self.real
-        if a > real(self.format.overflow) - real(2.0):
-            return self.exp(a - real(1.0)) * real(0.5 * math.e), real(0.0)
-        e = self.exp(a)
-        return real(0.5) * e, real(0.5) / e
+    def _grown(self, a: Number) -> tuple[Pair, int]:
+        """e, as a pair, and k, with exp(a) = (1 + e) 2^k, for a from 0 on."""
+        real, f = self.real, self.format
+        a = min(a, real(f.overflow + 1.0))
+        k = (a * real(1.0 / math.log(2.0)) + real(f.rounder)) - real(f.rounder)
+        high, low = a - k * real(f.ln2[0]), k * real(f.ln2[1])
+        r = high - low
+        z = r * r
+        half = real(f.exp[0]) * z
+        low = (low - z * (r * self._halves(f.exp[1:], r, z))) - half
+        head = high - low
+        return (head, (head - high) + low), int(k)
+
+    def _hyperbolic(self, sign: float, x: Number) -> Number:
+        """(exp(a) - sign exp(-a))/2, a = |x|: with exp(a) = (1 + e) 2^k in units of 2^k/2."""
+        real, f = self.real, self.format
+        if np.isnan(x):
+            return x
+        e, k = self._grown(abs(x))
+        unit = self._of_bits((f.bias - k) << f.mantissa if k < f.bias else 0)  # 2^-k, or 0
+        unit = real(sign) * unit * unit
+        q, excess = self._quotient(e, _sum(real(1.0), *e))
+        one, lost = _sum(real(1.0), -unit, real(0.0))
+        small, excess = _sum(e[0], unit * q, e[1] + unit * excess)
+        y = real(0.5) * _joined(one, small, excess + lost)
+        first = (k + 2 * f.bias) >> 1
+        second = k + 2 * f.bias - first
+        return y * self._of_bits(first << f.mantissa) * self._of_bits(second << f.mantissa)
 
     def sinh(self, x: Number) -> Number:
-        """Hyperbolic sine, by its series near zero."""
-        a = _size(x)
-        if a <= self.real(1.0):
-            return x * self._horner(self.format.sinh, x * x)
-        rising, falling = self._grown(a)
-        y = rising - falling
-        return -y if x < 0 else y
+        """Hyperbolic sine."""
+        return np.copysign(self._hyperbolic(1.0, x), x)
 
     def cosh(self, x: Number) -> Number:
         """Hyperbolic cosine."""
-        rising, falling = self._grown(_size(x))
-        return rising + falling
+        return self._hyperbolic(-1.0, x)
 
     def tanh(self, x: Number) -> Number:
-        """Hyperbolic tangent, by the series of sine and cosine near zero."""
-        real, a = self.real, _size(x)
-        if a <= real(0.55):
-            z = x * x
-            return x * self._horner(self.format.sinh, z) / self._horner(self.format.cosh, z)
-        y = real(1.0) - real(2.0) / (self.exp(real(2.0) * a) + real(1.0))
-        return -y if x < 0 else y
+        """Hyperbolic tangent: (exp(2 a) - 1)/(exp(2 a) + 1), a = |x|, in units of 2^k."""
+        real, f = self.real, self.format
+        if np.isnan(x):
+            return x
+        e, k = self._grown(abs(x) + abs(x))
+        unit = self._of_bits((f.bias - k) << f.mantissa if k < f.bias else 0)
+        sums = []
+        for part in (-unit, unit):
+            one, lost = _sum(real(1.0), part, e[1])
+            sums.append(_sum(one, e[0], lost))
+        q, excess = self._quotient(*sums)
+        return np.copysign(q - excess, x)

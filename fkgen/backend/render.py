@@ -243,14 +243,17 @@ def _order(c: Printer, outlined: Outline) -> dict[str, Any]:
     # Part of y may be handed on, so there has to be one, although nothing reads it.
     absent = {"y": "unread" if handed_on else "NULL", "present": "0u" if c.words == 1 else "none"}
     given["renew"] = given["correct"]
+    given["first"] = given["again"] = given["correct"] | given["propagate"]
     given["pass"] = {name: text for name, text in given["correct"].items() if name not in absent}
 
     def call(verb: str, source: str, to: str = "&next", **other: str) -> str:
         arguments = [other.get(name, name) for name in given[verb]]
-        return f"{c.name}_{verb}({', '.join([*filter(None, [source]), *arguments, to])})"
+        return f"{c.name}_{verb}({', '.join(filter(None, [source, *arguments, to]))})"
 
     def declared(name: str) -> str:
-        own = [f"const {c.name}_t *self", *given[name].values(), f"{c.name}_t *next"]
+        own = [f"{c.name}_t *self", *given[name].values()]  # a step changes its instance
+        if name not in {"first", "again"}:
+            own = [f"const {own[0]}", *own[1:], f"{c.name}_t *next"]
         return f"static {c.name}_status_t {c.name}_{name}({', '.join(own)})"
 
     own, start = program.written(closing), _starting(c, given.get("begin", {}))
@@ -299,7 +302,9 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
     """Names, constants, and which functions there are; sqrt where hypot needs it."""
     needs = {op.value: op in functions for op in Operator if op.is_function}
     needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
-    needs["exp"] = needs["exp"] or needs["sinh"] or needs["cosh"] or needs["tanh"]
+    needs["grown"] = needs["sinh"] or needs["cosh"] or needs["tanh"]
+    needs["quotient"] = needs["tan"] or needs["grown"]
+    needs["excess"] = needs["atan2"] or needs["quotient"]
     needs["arc"] = needs["asin"] or needs["acos"]
     needs["sqrt"] = needs["sqrt"] or needs["arc"] or needs["hypot"]
     return {
@@ -316,7 +321,6 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "shared": f"{SHARED}{c.real}" if functions and c.elementary != c.name else "",
         "ln2": math.log(2.0),
         "pi": math.pi,
-        "half_e": 0.5 * math.e,
     }
 
 

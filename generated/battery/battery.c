@@ -2188,6 +2188,34 @@ static battery_status_t battery_renew(const battery_t *self, const battery_param
     return status;
 }
 
+/* A step after a prediction. */
+static battery_status_t battery_first(battery_t *self, const battery_params_t *params,
+    const double *y, uint32_t present)
+{
+    battery_t next;
+    battery_status_t status = battery_correct(self, params, y, present, &next);
+    if (status != BATTERY_OK) { return status; }
+    status = battery_propagate(&next, params, &next);
+    if (status != BATTERY_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static battery_status_t battery_again(battery_t *self, const battery_params_t *params,
+    const double *y, uint32_t present)
+{
+    battery_t next;
+    battery_status_t status = battery_renew(self, params, y, present, &next);
+    if (status != BATTERY_OK) { return status; }
+    status = battery_propagate(&next, params, &next);
+    if (status != BATTERY_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 battery_status_t battery_update(battery_t *self, const battery_params_t *params, const double y[2],
     uint32_t valid)
 {
@@ -2236,25 +2264,8 @@ battery_status_t battery_step(battery_t *self, const battery_params_t *params, c
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return BATTERY_NULL_POINTER; }
     if (!battery_finite_params(params)) { return BATTERY_PARAMETER_OUT_OF_RANGE; }
     if (!battery_present_rows(y, valid, &present)) { return BATTERY_INPUT_NOT_FINITE; }
-    if (self->updated > 0.0)
-    {
-        battery_t next;
-        status = battery_renew(self, params, y, present, &next);
-        if (status != BATTERY_OK) { return status; }
-        status = battery_propagate(&next, params, &next);
-        if (status != BATTERY_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        battery_t next;
-        status = battery_correct(self, params, y, present, &next);
-        if (status != BATTERY_OK) { return status; }
-        status = battery_propagate(&next, params, &next);
-        if (status != BATTERY_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? battery_again(self, params, y, present) : battery_first(self,
+        params, y, present);
+    if (status != BATTERY_OK) { return status; }
     return ((present) != 0u) ? BATTERY_OK : BATTERY_SKIPPED;
 }

@@ -563,6 +563,34 @@ static car_speed_status_t car_speed_renew(const car_speed_t *self, const double 
     return status;
 }
 
+/* A step after a prediction. */
+static car_speed_status_t car_speed_first(car_speed_t *self, const double *y, uint32_t present,
+    const car_speed_params_t *params, const double *u)
+{
+    car_speed_t next;
+    car_speed_status_t status = car_speed_correct(self, y, present, &next);
+    if (status != CAR_SPEED_OK) { return status; }
+    status = car_speed_propagate(&next, params, u, &next);
+    if (status != CAR_SPEED_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static car_speed_status_t car_speed_again(car_speed_t *self, const double *y, uint32_t present,
+    const car_speed_params_t *params, const double *u)
+{
+    car_speed_t next;
+    car_speed_status_t status = car_speed_renew(self, y, present, &next);
+    if (status != CAR_SPEED_OK) { return status; }
+    status = car_speed_propagate(&next, params, u, &next);
+    if (status != CAR_SPEED_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
 {
@@ -617,25 +645,8 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     if (!car_speed_all_finite(u, CAR_SPEED_NU)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     if (!car_speed_finite_params(params)) { return CAR_SPEED_PARAMETER_OUT_OF_RANGE; }
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    if (self->updated > 0.0)
-    {
-        car_speed_t next;
-        status = car_speed_renew(self, y, present, &next);
-        if (status != CAR_SPEED_OK) { return status; }
-        status = car_speed_propagate(&next, params, u, &next);
-        if (status != CAR_SPEED_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        car_speed_t next;
-        status = car_speed_correct(self, y, present, &next);
-        if (status != CAR_SPEED_OK) { return status; }
-        status = car_speed_propagate(&next, params, u, &next);
-        if (status != CAR_SPEED_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? car_speed_again(self, y, present, params, u)
+        : car_speed_first(self, y, present, params, u);
+    if (status != CAR_SPEED_OK) { return status; }
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }

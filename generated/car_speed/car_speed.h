@@ -47,7 +47,7 @@
  * Cost of one step with every row present: 190 floating-point operations and 2 log.
  * An instance is 40 doubles, 320 bytes; nothing else is kept. Tables of constants: 96 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 3152 bytes at -O0, 1120 at -Os.
+ * Stack of one call, interrupts left out: at most 2976 bytes at -O0, 1120 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

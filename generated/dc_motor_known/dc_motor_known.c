@@ -400,6 +400,34 @@ static dc_motor_known_status_t dc_motor_known_renew(const dc_motor_known_t *self
     return status;
 }
 
+/* A step after a prediction. */
+static dc_motor_known_status_t dc_motor_known_first(dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *y, uint32_t present, const double *u)
+{
+    dc_motor_known_t next;
+    dc_motor_known_status_t status = dc_motor_known_correct(self, params, y, present, &next);
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    status = dc_motor_known_propagate(&next, params, u, &next);
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static dc_motor_known_status_t dc_motor_known_again(dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *y, uint32_t present, const double *u)
+{
+    dc_motor_known_t next;
+    dc_motor_known_status_t status = dc_motor_known_renew(self, params, y, present, &next);
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    status = dc_motor_known_propagate(&next, params, u, &next);
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
@@ -470,25 +498,8 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    if (self->updated > 0.0)
-    {
-        dc_motor_known_t next;
-        status = dc_motor_known_renew(self, params, y, present, &next);
-        if (status != DC_MOTOR_KNOWN_OK) { return status; }
-        status = dc_motor_known_propagate(&next, params, u, &next);
-        if (status != DC_MOTOR_KNOWN_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        dc_motor_known_t next;
-        status = dc_motor_known_correct(self, params, y, present, &next);
-        if (status != DC_MOTOR_KNOWN_OK) { return status; }
-        status = dc_motor_known_propagate(&next, params, u, &next);
-        if (status != DC_MOTOR_KNOWN_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? dc_motor_known_again(self, params, y, present, u)
+        : dc_motor_known_first(self, params, y, present, u);
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }

@@ -42,7 +42,7 @@
  * Cost of one step with every row present: 68 floating-point operations and 1 log.
  * An instance is 19 doubles, 152 bytes; nothing else is kept. Tables of constants: 48 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1696 bytes at -O0, 608 at -Os.
+ * Stack of one call, interrupts left out: at most 1376 bytes at -O0, 608 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -424,6 +424,34 @@ static fault_effect_a_status_t fault_effect_a_renew(const fault_effect_a_t *self
     return status;
 }
 
+/* A step after a prediction. */
+static fault_effect_a_status_t fault_effect_a_first(fault_effect_a_t *self, const double *y,
+    uint32_t present, const double *u)
+{
+    fault_effect_a_t next;
+    fault_effect_a_status_t status = fault_effect_a_correct(self, y, present, &next);
+    if (status != FAULT_EFFECT_A_OK) { return status; }
+    status = fault_effect_a_propagate(&next, u, &next);
+    if (status != FAULT_EFFECT_A_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static fault_effect_a_status_t fault_effect_a_again(fault_effect_a_t *self, const double *y,
+    uint32_t present, const double *u)
+{
+    fault_effect_a_t next;
+    fault_effect_a_status_t status = fault_effect_a_renew(self, y, present, &next);
+    if (status != FAULT_EFFECT_A_OK) { return status; }
+    status = fault_effect_a_propagate(&next, u, &next);
+    if (status != FAULT_EFFECT_A_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid)
 {
@@ -483,25 +511,8 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    if (self->updated > 0.0)
-    {
-        fault_effect_a_t next;
-        status = fault_effect_a_renew(self, y, present, &next);
-        if (status != FAULT_EFFECT_A_OK) { return status; }
-        status = fault_effect_a_propagate(&next, u, &next);
-        if (status != FAULT_EFFECT_A_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        fault_effect_a_t next;
-        status = fault_effect_a_correct(self, y, present, &next);
-        if (status != FAULT_EFFECT_A_OK) { return status; }
-        status = fault_effect_a_propagate(&next, u, &next);
-        if (status != FAULT_EFFECT_A_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? fault_effect_a_again(self, y, present, u)
+        : fault_effect_a_first(self, y, present, u);
+    if (status != FAULT_EFFECT_A_OK) { return status; }
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }

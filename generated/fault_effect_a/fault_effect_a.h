@@ -44,7 +44,7 @@
  * Cost of one step with every row present: 119 floating-point operations and 1 log.
  * An instance is 26 doubles, 208 bytes; nothing else is kept. Tables of constants: 80 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1888 bytes at -O0, 768 at -Os.
+ * Stack of one call, interrupts left out: at most 1648 bytes at -O0, 768 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -1363,6 +1363,34 @@ static gps_glitch_status_t gps_glitch_renew(const gps_glitch_t *self, const doub
     return status;
 }
 
+/* A step after a prediction. */
+static gps_glitch_status_t gps_glitch_first(gps_glitch_t *self, const double *y, uint32_t present,
+    const gps_glitch_params_t *params)
+{
+    gps_glitch_t next;
+    gps_glitch_status_t status = gps_glitch_correct(self, y, present, &next);
+    if (status != GPS_GLITCH_OK) { return status; }
+    status = gps_glitch_propagate(&next, params, &next);
+    if (status != GPS_GLITCH_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static gps_glitch_status_t gps_glitch_again(gps_glitch_t *self, const double *y, uint32_t present,
+    const gps_glitch_params_t *params)
+{
+    gps_glitch_t next;
+    gps_glitch_status_t status = gps_glitch_renew(self, y, present, &next);
+    if (status != GPS_GLITCH_OK) { return status; }
+    status = gps_glitch_propagate(&next, params, &next);
+    if (status != GPS_GLITCH_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid)
 {
@@ -1411,25 +1439,8 @@ gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
-    if (self->updated > 0.0)
-    {
-        gps_glitch_t next;
-        status = gps_glitch_renew(self, y, present, &next);
-        if (status != GPS_GLITCH_OK) { return status; }
-        status = gps_glitch_propagate(&next, params, &next);
-        if (status != GPS_GLITCH_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        gps_glitch_t next;
-        status = gps_glitch_correct(self, y, present, &next);
-        if (status != GPS_GLITCH_OK) { return status; }
-        status = gps_glitch_propagate(&next, params, &next);
-        if (status != GPS_GLITCH_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? gps_glitch_again(self, y, present, params)
+        : gps_glitch_first(self, y, present, params);
+    if (status != GPS_GLITCH_OK) { return status; }
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

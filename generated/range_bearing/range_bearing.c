@@ -189,6 +189,26 @@ static double range_bearing_sqrt(double x)
 #endif
 }
 
+/* q below - above, where q is nearly their quotient, by halves of both factors */
+static double range_bearing_excess(double q, double below, double above)
+{
+    range_bearing_bits_t u;
+    double upper, part, excess;
+    u.value = q;
+    u.bits &= UINT64_C(0xfffffffff8000000);
+    upper = u.value;
+    u.value = below;
+    u.bits &= UINT64_C(0xfffffffff8000000);
+    excess = upper * u.value;
+    excess = excess - above;
+    part = below - u.value;
+    part = upper * part;
+    excess = excess + part;
+    part = q - upper;
+    part = part * below;
+    return excess + part;
+}
+
 /* For speed a sine and a cosine of one angle are joined where they are called, to share their
  * work. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
@@ -197,30 +217,39 @@ static double range_bearing_sqrt(double x)
 #define RANGE_BEARING_JOINED static
 #endif
 
-/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r + low, then polynomials in r r */
+/* x = k pi/2 + r - more: returns r, and last digits of k in *turns */
+RANGE_BEARING_JOINED double range_bearing_reduced(double x, double *more, uint64_t *turns)
+{
+    const double offset = 6755399441055744.0;
+    range_bearing_bits_t u;
+    double k, r, part, excess;
+    u.value = x * 0.6366197723675814;
+    u.value = u.value + offset;
+    *turns = u.bits;
+    k = u.value - offset;
+    part = k * 1.5707963267341256;
+    x = x - part;
+    part = k * 6.077100506303966e-11;
+    r = x - part;
+    excess = r - x;
+    excess = excess + part;
+    part = k * 2.0222662487959506e-21;
+    excess = excess + part;
+    x = r;
+    r = x - excess;
+    x = r - x;
+    *more = x + excess;
+    return r;
+}
+
+/* sine (quarter = 0) and cosine (quarter = 1): polynomials in r r */
 RANGE_BEARING_JOINED double range_bearing_wave(double x, uint64_t quarter)
 {
     const double zero = 0.0;
     const double one = 1.0;
-    const double offset = 6755399441055744.0;
-    range_bearing_bits_t u;
-    double k, r, low, part, z, w, even, odd, sine, cosine;
-    u.value = x * 0.6366197723675814;
-    u.value = u.value + offset;
-    k = u.value - offset;
-    low = x;
-    part = k * 1.5707963267341256;
-    low = low - part;
-    part = k * 6.077100506303966e-11;
-    r = low - part;
-    low = low - r;
-    low = low - part;
-    part = k * 2.0222662487959506e-21;
-    low = low - part;
-    part = r;
-    r = part + low;
-    part = part - r;
-    low = part + low;
+    double more, z, w, even, odd, sine, cosine;
+    uint64_t turns;
+    double r = range_bearing_reduced(x, &more, &turns);
     z = r * r;
     w = z * z;
     even = -2.505073442971143e-08;
@@ -237,8 +266,8 @@ RANGE_BEARING_JOINED double range_bearing_wave(double x, uint64_t quarter)
     even = even + odd;
     sine = z * even;
     sine = r * sine;
-    sine = sine + low;
-    sine = r + sine;
+    sine = more - sine;
+    sine = r - sine;
     even = 2.0875705007432117e-09;
     even = even * w;
     even = even + 2.4801587288996726e-05;
@@ -251,16 +280,16 @@ RANGE_BEARING_JOINED double range_bearing_wave(double x, uint64_t quarter)
     odd = odd + -0.0013888888888873338;
     odd = z * odd;
     even = even + odd;
-    odd = r * low;
+    odd = r * more;
     even = w * even;
-    even = even - odd;
+    even = even + odd;
     z = 0.5 * z;
     w = one - z;
     cosine = one - w;
-    cosine = cosine - z;
-    cosine = cosine + even;
-    cosine = w + cosine;
-    quarter = u.bits + quarter;
+    cosine = z - cosine;
+    cosine = cosine - even;
+    cosine = w - cosine;
+    quarter = turns + quarter;
     r = ((quarter & 1u) != 0u) ? cosine : sine;
     r = ((quarter & 2u) != 0u) ? -r : r;
     return ((x <= 100000.0) && (x >= -100000.0)) ? r : ((x - x) / zero);
@@ -281,24 +310,30 @@ static double range_bearing_atan2(double y, double x)
 {
     const double zero = 0.0;
     const double one = 1.0;
-    const double a = (y < zero) ? -y : y;
-    const double b = (x < zero) ? -x : x;
-    range_bearing_bits_t u;
-    double low = a;
-    double high = b;
+    range_bearing_bits_t u, v;
+    double low, high;
     double more = zero;
     double less = zero;
     double k = zero;
     double s = one;
     double above, below, part, q, rest, z, w, even, odd;
-    if (!(a <= b))
+    uint64_t down, left;
+    u.value = y;
+    down = u.bits & UINT64_C(0x8000000000000000);
+    u.bits ^= down;
+    v.value = x;
+    left = v.bits & UINT64_C(0x8000000000000000);
+    v.bits ^= left;
+    low = u.value;
+    high = v.value;
+    if (!(low <= high))
     {
-        low = b;
-        high = a;
+        low = v.value;
+        high = u.value;
         k = 2.0;
         s = -one;
     }
-    if (x < zero)
+    if (left != 0u)
     {
         k = 4.0 - k;
         s = -s;
@@ -320,26 +355,14 @@ static double range_bearing_atan2(double y, double x)
     below = high + more;
     part = (below > zero) ? (one / below) : (low + high);
     q = above * part;
-    /* what difference, sum and quotient leave: above - q below, by halves of both factors */
+    /* by what difference, sum and quotient are too large */
     w = above + less;
-    w = low - w;
+    w = w - low;
     z = high - below;
     z = z + more;
     z = q * z;
-    w = w - z;
-    u.value = q;
-    u.bits &= UINT64_C(0xfffffffff8000000);
-    z = u.value;
-    even = q - z;
-    u.value = below;
-    u.bits &= UINT64_C(0xfffffffff8000000);
-    odd = z * u.value;
-    rest = above - odd;
-    odd = below - u.value;
-    odd = z * odd;
-    rest = rest - odd;
-    odd = even * below;
-    rest = rest - odd;
+    w = w + z;
+    rest = range_bearing_excess(q, below, above);
     rest = rest + w;
     rest = rest * part;
     rest = (below <= DBL_MAX) ? (s * rest) : zero;
@@ -370,16 +393,17 @@ static double range_bearing_atan2(double y, double x)
     even = even + odd;
     even = z * even;
     even = q * even;
+    rest = rest - even;
     part = k * 3.061616997868383e-17;
-    even = even + part;
-    even = even + rest;
+    rest = rest - part;
     k = k * 0.7853981633974483;
     w = k + q;
-    k = k - w;
-    k = k + q;
-    k = k + even;
-    w = w + k;
-    return (y < zero) ? -w : w;
+    k = w - k;
+    k = k - q;
+    k = k + rest;
+    u.value = w - k;
+    u.bits ^= down;
+    return u.value;
 }
 
 /* length of (x, y), in a unit in which no square overflows or vanishes */
@@ -1785,6 +1809,34 @@ static range_bearing_status_t range_bearing_renew(const range_bearing_t *self, c
     return status;
 }
 
+/* A step after a prediction. */
+static range_bearing_status_t range_bearing_first(range_bearing_t *self, const double *y,
+    uint32_t present, const double *u)
+{
+    range_bearing_t next;
+    range_bearing_status_t status = range_bearing_correct(self, y, present, &next);
+    if (status != RANGE_BEARING_OK) { return status; }
+    status = range_bearing_propagate(&next, u, &next);
+    if (status != RANGE_BEARING_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static range_bearing_status_t range_bearing_again(range_bearing_t *self, const double *y,
+    uint32_t present, const double *u)
+{
+    range_bearing_t next;
+    range_bearing_status_t status = range_bearing_renew(self, y, present, &next);
+    if (status != RANGE_BEARING_OK) { return status; }
+    status = range_bearing_propagate(&next, u, &next);
+    if (status != RANGE_BEARING_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 range_bearing_status_t range_bearing_update(range_bearing_t *self, const double u[2],
     const double y[3], uint32_t valid)
 {
@@ -1833,25 +1885,8 @@ range_bearing_status_t range_bearing_step(range_bearing_t *self, const double u[
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return RANGE_BEARING_NULL_POINTER; }
     if (!range_bearing_all_finite(u, RANGE_BEARING_NU)) { return RANGE_BEARING_INPUT_NOT_FINITE; }
     if (!range_bearing_present_rows(y, valid, &present)) { return RANGE_BEARING_INPUT_NOT_FINITE; }
-    if (self->updated > 0.0)
-    {
-        range_bearing_t next;
-        status = range_bearing_renew(self, y, present, &next);
-        if (status != RANGE_BEARING_OK) { return status; }
-        status = range_bearing_propagate(&next, u, &next);
-        if (status != RANGE_BEARING_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        range_bearing_t next;
-        status = range_bearing_correct(self, y, present, &next);
-        if (status != RANGE_BEARING_OK) { return status; }
-        status = range_bearing_propagate(&next, u, &next);
-        if (status != RANGE_BEARING_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? range_bearing_again(self, y, present, u)
+        : range_bearing_first(self, y, present, u);
+    if (status != RANGE_BEARING_OK) { return status; }
     return ((present) != 0u) ? RANGE_BEARING_OK : RANGE_BEARING_SKIPPED;
 }

@@ -140,30 +140,39 @@ static double ship_track_exp(double x)
 #define SHIP_TRACK_JOINED static
 #endif
 
-/* sine (quarter = 0) and cosine (quarter = 1): x = k pi/2 + r + low, then polynomials in r r */
+/* x = k pi/2 + r - more: returns r, and last digits of k in *turns */
+SHIP_TRACK_JOINED double ship_track_reduced(double x, double *more, uint64_t *turns)
+{
+    const double offset = 6755399441055744.0;
+    ship_track_bits_t u;
+    double k, r, part, excess;
+    u.value = x * 0.6366197723675814;
+    u.value = u.value + offset;
+    *turns = u.bits;
+    k = u.value - offset;
+    part = k * 1.5707963267341256;
+    x = x - part;
+    part = k * 6.077100506303966e-11;
+    r = x - part;
+    excess = r - x;
+    excess = excess + part;
+    part = k * 2.0222662487959506e-21;
+    excess = excess + part;
+    x = r;
+    r = x - excess;
+    x = r - x;
+    *more = x + excess;
+    return r;
+}
+
+/* sine (quarter = 0) and cosine (quarter = 1): polynomials in r r */
 SHIP_TRACK_JOINED double ship_track_wave(double x, uint64_t quarter)
 {
     const double zero = 0.0;
     const double one = 1.0;
-    const double offset = 6755399441055744.0;
-    ship_track_bits_t u;
-    double k, r, low, part, z, w, even, odd, sine, cosine;
-    u.value = x * 0.6366197723675814;
-    u.value = u.value + offset;
-    k = u.value - offset;
-    low = x;
-    part = k * 1.5707963267341256;
-    low = low - part;
-    part = k * 6.077100506303966e-11;
-    r = low - part;
-    low = low - r;
-    low = low - part;
-    part = k * 2.0222662487959506e-21;
-    low = low - part;
-    part = r;
-    r = part + low;
-    part = part - r;
-    low = part + low;
+    double more, z, w, even, odd, sine, cosine;
+    uint64_t turns;
+    double r = ship_track_reduced(x, &more, &turns);
     z = r * r;
     w = z * z;
     even = -2.505073442971143e-08;
@@ -180,8 +189,8 @@ SHIP_TRACK_JOINED double ship_track_wave(double x, uint64_t quarter)
     even = even + odd;
     sine = z * even;
     sine = r * sine;
-    sine = sine + low;
-    sine = r + sine;
+    sine = more - sine;
+    sine = r - sine;
     even = 2.0875705007432117e-09;
     even = even * w;
     even = even + 2.4801587288996726e-05;
@@ -194,16 +203,16 @@ SHIP_TRACK_JOINED double ship_track_wave(double x, uint64_t quarter)
     odd = odd + -0.0013888888888873338;
     odd = z * odd;
     even = even + odd;
-    odd = r * low;
+    odd = r * more;
     even = w * even;
-    even = even - odd;
+    even = even + odd;
     z = 0.5 * z;
     w = one - z;
     cosine = one - w;
-    cosine = cosine - z;
-    cosine = cosine + even;
-    cosine = w + cosine;
-    quarter = u.bits + quarter;
+    cosine = z - cosine;
+    cosine = cosine - even;
+    cosine = w - cosine;
+    quarter = turns + quarter;
     r = ((quarter & 1u) != 0u) ? cosine : sine;
     r = ((quarter & 2u) != 0u) ? -r : r;
     return ((x <= 100000.0) && (x >= -100000.0)) ? r : ((x - x) / zero);
@@ -1524,6 +1533,34 @@ static ship_track_status_t ship_track_renew(const ship_track_t *self, const doub
     return status;
 }
 
+/* A step after a prediction. */
+static ship_track_status_t ship_track_first(ship_track_t *self, const double *y, uint32_t present,
+    const ship_track_params_t *params)
+{
+    ship_track_t next;
+    ship_track_status_t status = ship_track_correct(self, y, present, &next);
+    if (status != SHIP_TRACK_OK) { return status; }
+    status = ship_track_propagate(&next, params, &next);
+    if (status != SHIP_TRACK_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
+/* A step after an update; each has a frame of its own. */
+static ship_track_status_t ship_track_again(ship_track_t *self, const double *y, uint32_t present,
+    const ship_track_params_t *params)
+{
+    ship_track_t next;
+    ship_track_status_t status = ship_track_renew(self, y, present, &next);
+    if (status != SHIP_TRACK_OK) { return status; }
+    status = ship_track_propagate(&next, params, &next);
+    if (status != SHIP_TRACK_OK) { return status; }
+    next.updated = 0.0;
+    *self = next;
+    return status;
+}
+
 ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid)
 {
@@ -1572,25 +1609,8 @@ ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
-    if (self->updated > 0.0)
-    {
-        ship_track_t next;
-        status = ship_track_renew(self, y, present, &next);
-        if (status != SHIP_TRACK_OK) { return status; }
-        status = ship_track_propagate(&next, params, &next);
-        if (status != SHIP_TRACK_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
-    else
-    {
-        ship_track_t next;
-        status = ship_track_correct(self, y, present, &next);
-        if (status != SHIP_TRACK_OK) { return status; }
-        status = ship_track_propagate(&next, params, &next);
-        if (status != SHIP_TRACK_OK) { return status; }
-        next.updated = 0.0;
-        *self = next;
-    }
+    status = (self->updated > 0.0) ? ship_track_again(self, y, present, params)
+        : ship_track_first(self, y, present, params);
+    if (status != SHIP_TRACK_OK) { return status; }
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }

@@ -77,7 +77,7 @@
  * log and 1 sin.
  * An instance is 141 doubles, 1128 bytes; nothing else is kept. Tables of constants: 168 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 22960 bytes at -O0, 4976 at -Os.
+ * Stack of one call, interrupts left out: at most 16816 bytes at -O0, 4976 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

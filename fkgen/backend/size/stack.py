@@ -45,8 +45,6 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
         plain.append(_plain(phase.locals, phase.body, routines, size))
         small.append(_small(phase.locals, phase.body, routines, size))
     together = sum(plain) if inlined else max(plain)
-    if inlined and program.repeats is not None:  # a step after an update has its own prediction
-        together += plain[list(program.verbs).index("propagate")]
     together += together // 8  # what expressions keep on the way
     return Stack(
         plain=_rounded(_COPIES * instance + 2 * _SAVED + _LEAF + together),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import mpmath
 import numpy as np
 import pytest
@@ -15,10 +18,9 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 REAL = {"double": np.float64, "float": np.float32}
 
 #: Largest errors in ulps that are allowed: half of one for the last rounding, and what reduction
-#: and polynomial add. The square root is exact; a quotient of waves and sums of exponentials add
-#: a rounding or two.
-ULPS = {"exp": 0.95, "log": 0.9, "sqrt": 0.5, "sin": 0.95, "cos": 0.95, "tan": 3.0, "atan2": 0.9}
-ULPS |= {"asin": 0.8, "acos": 0.8, "sinh": 3.0, "cosh": 3.0, "tanh": 3.5, "hypot": 0.9}
+#: and polynomial add. The square root is exact.
+ULPS = {"exp": 0.95, "log": 0.9, "sqrt": 0.5, "sin": 0.95, "cos": 0.95, "tan": 0.8, "atan2": 0.9}
+ULPS |= {"asin": 0.8, "acos": 0.8, "sinh": 0.9, "cosh": 0.75, "tanh": 0.85, "hypot": 0.9}
 
 LIMITS = {"double": (-708.0, 709.0), "float": (-87.0, 88.0)}
 
@@ -179,6 +181,35 @@ class TestSpecialValues:
             for name in ("sinh", "cosh", "tanh"):
                 assert np.isnan(getattr(functions, name)(real(np.nan)))
 
+    def test_zeros_keep_their_signs(self, scalar):
+        functions, real = Elementary(scalar), REAL[scalar]
+        for name in ("sin", "tan", "asin", "sinh", "tanh", "sqrt"):
+            for zero in (0.0, -0.0):
+                found = getattr(functions, name)(real(zero))
+                assert (found, np.signbit(found)) == (0.0, np.signbit(zero)), name
+
+    def test_angles_of_zeros_are_those_of_libm(self, scalar):
+        atan2, real = Elementary(scalar).atan2, REAL[scalar]
+        for y, x in itertools.product((0.0, -0.0, 1.0, -1.0), repeat=2):
+            found, expected = atan2(real(y), real(x)), real(math.atan2(y, x))
+            assert (found, np.signbit(found)) == (expected, np.signbit(expected)), (y, x)
+
+    def test_hyperbolic_functions_overflow_only_with_their_results(self, scalar):
+        functions, real = Elementary(scalar), REAL[scalar]
+        last = real({"double": 710.4758600739439, "float": 89.415985}[scalar])
+        assert np.isfinite(functions.sinh(last))
+        assert np.isfinite(functions.cosh(-last))
+        beyond = np.nextafter(last, real(np.inf))
+        with np.errstate(all="ignore"):
+            assert functions.sinh(-beyond) == -np.inf
+            assert functions.cosh(beyond) == np.inf
+
+    def test_the_smallest_numbers_stay(self, scalar):
+        functions, real = Elementary(scalar), REAL[scalar]
+        for x in (np.finfo(real).smallest_subnormal, -np.finfo(real).tiny):
+            for name in ("sin", "tan", "asin", "sinh", "tanh"):
+                assert getattr(functions, name)(x) == x, name
+
     def test_a_nan_stays_one(self, scalar):
         functions, real = Elementary(scalar), REAL[scalar]
         for name in ("atan2", "hypot"):
@@ -215,7 +246,7 @@ def test_compiled_functions_give_the_bits_of_the_reference(name, scalar):
     assert f"plant_{name}(" in generated(plant).files["plant.c"] or name == "abs"
     rng = np.random.default_rng(9)
     a = rng.uniform(-3.0, 3.0, 300) if name not in {"log", "sqrt"} else rng.uniform(1e-6, 9.0, 300)
-    a[:3] = [0.0, 1.0, 1e-30] if name != "log" else [1.0, 2.0, 1e-30]
+    a[:3] = [-0.0, 1.0, 1e-30] if name != "log" else [1.0, 2.0, 1e-30]
     a[3:6] = [0.5, 0.55, -1.0] if arc else [1e-5, 30.0, {"double": 708.9, "float": 87.9}[scalar]]
     a = np.sin(a) if arc else a
     found, real = built(plant), REAL[scalar]
