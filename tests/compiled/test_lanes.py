@@ -126,11 +126,12 @@ def check(plant, found):
 @pytest.mark.parametrize(
     ("name", "scalar"),
     thorough(
-        [(name, scalar) for name in NAMES for scalar in ("double", "float")],
+        [(name, "float" if i % 3 == 2 else "double") for i, name in enumerate(NAMES)],
         [(name, "float" if i % 3 == 2 else "double") for i, name in enumerate(FEW)],
     ),
 )
-def test_a_batch_has_the_bits_of_its_records(name, scalar):
+def test_a_batch_has_the_bits_of_its_records(name, scalar, monkeypatch):
+    monkeypatch.setenv("FKGEN_CFLAGS", "-O1")  # the bits are those of every level
     plant = specs(scalar)[name]
     check(plant, fkgen.build(plant))
 
