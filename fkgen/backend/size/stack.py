@@ -20,6 +20,9 @@ BYTES = {"double": 8, "float": 4}
 _SAVED, _SAVED_SMALL = 96, 48
 _LEAF, _LEAF_SMALL = 128, 128
 
+#: Frames at -O0 of the functions for products of matrices, each of which holds a tile.
+_TILES = 768
+
 #: Copies of the instance that a compiler keeps at -O0: the next one, and those of branches.
 _COPIES = 3
 
@@ -45,6 +48,8 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
         plain.append(_plain(phase.locals, phase.body, routines, size))
         small.append(_small(phase.locals, phase.body, routines, size))
     together = sum(plain) if inlined else max(plain)
+    if any(isinstance(node, ir.OfMatrices) for body in outlined.bodies for node in ir.walk(body)):
+        together += _TILES
     together += together // 8  # what expressions keep on the way
     return Stack(
         plain=_rounded(_COPIES * instance + 2 * _SAVED + _LEAF + together),
