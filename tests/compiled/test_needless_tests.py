@@ -17,6 +17,7 @@ from fkgen.backend.execute import Machine
 from fkgen.backend.lower import lower
 from fkgen.symbolic.interface import Kind
 from fkgen.symbolic.interpreter import Interpreter
+from fkgen.symbolic.recursion import Block
 
 SPECS = spread.specs() | sensor_specs.every()
 FEW = ("kf", "mkf", "mme_gaussian", "imm", "dfcf")
@@ -34,7 +35,8 @@ def in_program(phase):
 
 
 def in_recursion(phase):
-    found = (guard for block in phase.blocks for guard in block.guards)
+    blocks = (block for block in phase.blocks if isinstance(block, Block))
+    found = (guard for block in blocks for guard in block.guards)
     return (guard.values.nz for guard in found if guard.kind is Kind.FINITE)
 
 
