@@ -272,7 +272,7 @@ def test_the_floor_is_judged():
     assert not usual & {"no_weight_floor", "high_weight_floor"}
 
 
-def test_large_code_is_a_warning():
+def test_large_code_is_a_warning_and_many_states_are_not(monkeypatch):
     n = 18
     rng = np.random.default_rng(1)
     model = {
@@ -286,7 +286,9 @@ def test_large_code_is_a_warning():
     table = {"name": "large", "model": model, "filter": {"family": "kf"}}
     report = fkgen.check(fkgen.Spec.from_dict(table))
     assert report.values["flops_per_step"] > 8000
-    assert "large_code" in codes(report, "warning")
+    assert "large_code" not in codes(report, "warning")
+    monkeypatch.setattr("fkgen.study.diagnostics.check.LARGE", 100)
+    assert "large_code" in codes(fkgen.check(fkgen.Spec.from_dict(table)), "warning")
 
 
 @pytest.mark.parametrize("family", ["kf", "mkf", "mme"])
