@@ -291,6 +291,12 @@ class _Code:
         array = self._cell(replace(element, index=0 if element.moves else element.index))[0]
         return array + np.broadcast_to(value(element.index or 0, at), at["i"].shape)
 
+    def _by_element(self, operator: Operator, arguments: int) -> Callable[..., Any]:
+        """An operation on arrays of numbers."""
+        do = self.machine.arithmetic[operator]
+        plain = self.machine.arithmetic is ARITHMETIC and operator not in ir.FUSED
+        return do if plain else np.frompyfunc(do, arguments, 1)
+
     def _of_matrices(self, node: ir.OfMatrices) -> _Statement:
         return self._product(node) if isinstance(node, ir.Product) else self._triangle(node)
 
@@ -314,8 +320,8 @@ class _Code:
         )
         target = self._cells(node.target, at)
         begin = None if node.start is None else self._cells(node.start, at)
-        multiply, add = (self.machine.arithmetic[each] for each in (Operator.MUL, node.adding))
-        together: Callable[..., Any] = np.frompyfunc(add, 3, 1) if node.fused else add
+        multiply, add = self._by_element(Operator.MUL, 2), self._by_element(node.adding, 2)
+        together = self._by_element(node.adding, 3) if node.fused else add
 
         def run(cells: list[Any], _: dict[str, int], __: list[bool]) -> Status | None:
             now = np.array(cells, object)

@@ -287,7 +287,7 @@ def test_large_code_is_a_warning_and_many_states_are_not(monkeypatch):
     report = fkgen.check(fkgen.Spec.from_dict(table))
     assert report.values["flops_per_step"] > 8000
     assert "large_code" not in codes(report, "warning")
-    monkeypatch.setattr("fkgen.study.diagnostics.check.LARGE", 100)
+    monkeypatch.setattr("fkgen.study.diagnostics.check.LARGE", 10)
     assert "large_code" in codes(fkgen.check(fkgen.Spec.from_dict(table)), "warning")
 
 
