@@ -88,6 +88,7 @@ SPECS = {
     "kf singular R": table("kf", singular(model(6, 2, 3))),
     "kf correlated noise": table("kf", noisy()),
     "kf gate": table("kf", model(7, 2, 3), gate=0.5),
+    "kf gate of many rows": table("kf", model(21, 2, 6), gate=0.5),
     "kf gate on samples": table("kf", model(8, 2, 3), gate=0.5, gate_by="sample"),
     "kf stationary": table("kf", model(9, 2, 3), gain="stationary"),
     "mkf": table("mkf", driven(10, 2, 3), RATE),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement
+from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement, has_a_rule
 from fkgen.estimators.gaussian.gate import Gate
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.dense import (
@@ -43,7 +43,8 @@ def is_sparse(matrix: ca.SX) -> bool:
 def is_blocked(measurement: Measurement) -> bool:
     """Whether conditioning on these rows is written in products of matrices."""
     apart = measurement.S is not None or measurement.rank_tolerance is not None
-    return not apart and measurement.C.nnz() > 0 and measurement.code_form == "loops"
+    of_y = bool(measurement.at) and measurement.C.nnz() > 0
+    return of_y and not apart and measurement.code_form == "loops"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -109,12 +110,15 @@ class BlockedUpdate:
         self.nis = builder.local(f"quadratic{tag}", 1, initial=0.0)
         self.log_constant = builder.local(f"log_constant{tag}", 1, initial=0.0)
         builder.assign({self.given_before.at(0, i): innovation[i] for i in range(p)})
-        if p <= UNROLLED:
-            for i in range(p):
-                self._eliminate(S, pivots, i)
+        if p <= UNROLLED or not has_a_rule(self.measurement.at):
+            self.rejected = [flag for i in range(p) for flag in self._eliminate(S, pivots, i)]
         else:
+            refused = room(builder, f"rejected{tag}", 1, p)
             with builder.loop("r", 0, p) as row:
-                self._eliminate(S, pivots, row)
+                for flag in self._eliminate(S, pivots, row):
+                    builder.assign({refused.at(0, row): flag})
+            flags = [_value(builder, refused.at(0, i)) for i in range(p)]
+            self.rejected = flags if self.gate else []
         self.pivots = [_value(builder, pivots.at(0, i)) for i in range(p)]
         for below in range(1, p):
             own, above = self.cross.row(below), self.cross.top(below)
@@ -124,11 +128,12 @@ class BlockedUpdate:
             value = _value(builder, self.cross.at(k, j)) * _value(builder, self.inverse.at(0, k))
             builder.assign({self.weighted.at(k, j): value})
 
-    def _eliminate(self, S: Dense, pivots: Dense, row: Whole) -> None:
-        """Take row ``row`` in, and out of the rows below it."""
+    def _eliminate(self, S: Dense, pivots: Dense, row: Whole) -> list[ca.SX]:
+        """Take row ``row`` in, and out of the rows below it; 1 if the gate rejects it."""
         builder, label, p = self.builder, f"{self.tag}_{row}", S.rows
         at = self.measurement.at
         of_y = at[row] if isinstance(row, int) else at[0] + (at[1] - at[0]) * row
+        flags = []
         pivot = builder.define(f"pivot{label}", _value(builder, S.at(row, row)))
         own = builder.define(f"own{label}", _value(builder, self.given_before.at(0, row)))
         builder.assign({self.inverse.at(0, row): ca.SX(0), pivots.at(0, row): ca.SX(1)})
@@ -136,7 +141,7 @@ class BlockedUpdate:
         if self.gate is not None:
             name, tested = f"rejected{label}", (own, pivot)
             flag, significant = self.gate.row(builder, name, of_y, tested, None)
-            self.rejected.append(flag)
+            flags.append(flag)
         with builder.if_present(of_y, significant):
             builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             builder.assign({self.inverse.at(0, row): 1 / pivot, pivots.at(0, row): pivot})
@@ -157,6 +162,7 @@ class BlockedUpdate:
             with builder.loop("j", row + 1, i + 1) as j:
                 rest = _value(builder, S.at(i, j)) - share * _value(builder, S.at(j, row))
                 builder.assign({S.at(i, j): rest})
+        return flags
 
     def mean(self) -> ca.SX:
         """The corrected mean."""

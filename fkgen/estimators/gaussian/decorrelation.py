@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import casadi as ca
 
@@ -31,6 +32,11 @@ STRAIGHT = 1400
 def are_many(operations: float, times: float = 1.0) -> bool:
     """Whether operations are written in loops; those that have other costs, beyond a multiple."""
     return operations > times * STRAIGHT
+
+
+def has_a_rule(at: tuple[int, ...]) -> bool:
+    """Whether rows of y lie equally far apart, so that a loop finds them."""
+    return len({after - before for before, after in pairwise(at)}) <= 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

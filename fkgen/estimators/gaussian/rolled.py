@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import Measurement, Row, are_many
+from fkgen.estimators.gaussian.decorrelation import Measurement, Row, are_many, has_a_rule
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
 from fkgen.symbolic.builder import PhaseBuilder
@@ -36,8 +35,8 @@ def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     (p, m), at, R = measurement.C.shape, measurement.at, measurement.R
     if measurement.code_form == "straight":
         return False
-    if p < 2 or len({b - a for a, b in pairwise(at)}) > 1:
-        return False  # rows of y without a rule
+    if p < 2 or not has_a_rule(at):
+        return False
     coupled = max(R.nnz() / p - 1.0, 0.0)
     seen = m if coupled > 0.0 else measurement.C.nnz() / p
     needed = operations(p, m, seen, coupled, with_gain=with_gain)
