@@ -113,6 +113,10 @@ class PhaseBuilder:
             self._owner[symbol.element_hash()] = place
         return self._symbols[place]
 
+    def read(self, place: At) -> ca.SX:
+        """The element at a place, as a symbol."""
+        return self.at(place.name, place.index)
+
     def has(self, name: str) -> bool:
         """Whether a variable or port of this name is declared."""
         return name in self._symbols

@@ -54,9 +54,14 @@ class Dense:
         return Dense(self.name, rows, self.columns, self.step, self.stride, self.begin)
 
 
+def whole_vectors(columns: int) -> int:
+    """Numbers in the vectors that so many need."""
+    return -(-columns // LANES) * LANES
+
+
 def room(builder: PhaseBuilder, name: str, rows: int, columns: int) -> Dense:
     """An array for a matrix; what is done with it later may be another matrix of this size."""
-    step, name = -(-columns // LANES) * LANES, PREFIX + name
+    step, name = whole_vectors(columns), PREFIX + name
     if builder.has(name) and builder.symbol(name).numel() != rows * step:
         name = f"{name}_{rows}x{columns}"
     if not builder.has(name):
@@ -78,7 +83,7 @@ def as_row(builder: PhaseBuilder, name: str, vector: ca.SX) -> Dense:
 def filled(builder: PhaseBuilder, name: str, matrix: ca.SX) -> Dense:
     """A matrix of numbers and expressions in an array; one of numbers is a table."""
     rows, columns = matrix.shape
-    step = -(-columns // LANES) * LANES
+    step = whole_vectors(columns)
     values = [matrix[i, j] if j < columns else ca.SX(0) for i in range(rows) for j in range(step)]
     return Dense(fill(builder, PREFIX + name, values), rows, columns, step)
 
@@ -159,10 +164,10 @@ def combine(
     """
     for i in range(left.shape[0]):
         places = [k for k in range(left.shape[1]) if not is_zero(left[i, k])]
-        end = -(-(i + 1) // LANES) * LANES if lower else right.columns  # whole vectors
+        end = whole_vectors(i + 1) if lower else right.columns
         with builder.loop("j", 0, end) as j:
-            terms = [left[i, k] * _value(builder, right.at(k, j)) for k in places]
-            first = [] if start is None else [_value(builder, start.at(i, j))]
+            terms = [left[i, k] * builder.read(right.at(k, j)) for k in places]
+            first = [] if start is None else [builder.read(start.at(i, j))]
             builder.assign({target.at(i, j): total([*first, *terms] or [ca.SX(0)])})
     return target
 
@@ -170,9 +175,5 @@ def combine(
 def transposed(builder: PhaseBuilder, target: Dense, matrix: Dense) -> Dense:
     """The transpose in a place of its own."""
     with builder.loop("i", 0, matrix.rows) as i, builder.loop("j", 0, matrix.columns) as j:
-        builder.assign({target.at(j, i): _value(builder, matrix.at(i, j))})
+        builder.assign({target.at(j, i): builder.read(matrix.at(i, j))})
     return target
-
-
-def _value(builder: PhaseBuilder, place: At) -> ca.SX:
-    return builder.at(place.name, place.index)

@@ -142,7 +142,7 @@ class Product:
     Places are indices of ``i``, ``j`` and ``k``. Every sum is one chain in ascending order of k; it
     begins with ``start``, or with its first product if there is none. With ``less``, which takes a
     start, products are subtracted; with ``lower`` entries above the diagonal are left as they are.
-    The target is no part of what is read.
+    No element is read that is written, but as its own start.
     """
 
     title: str

@@ -26,10 +26,13 @@ from fkgen.symbolic.dense import (
     transposed,
     unpacked,
 )
-from fkgen.symbolic.index import At, Whole
+from fkgen.symbolic.index import Whole
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import pack
 from fkgen.symbolic.plant import SPARSE
+
+#: What stands above the products of a prediction.
+_TITLE = "products with A"
 
 #: Rows of y whose elimination is written out.
 UNROLLED = 4
@@ -117,15 +120,15 @@ class BlockedUpdate:
             with builder.loop("r", 0, p) as row:
                 for flag in self._eliminate(S, pivots, row):
                     builder.assign({refused.at(0, row): flag})
-            flags = [_value(builder, refused.at(0, i)) for i in range(p)]
+            flags = [builder.read(refused.at(0, i)) for i in range(p)]
             self.rejected = flags if self.gate else []
-        self.pivots = [_value(builder, pivots.at(0, i)) for i in range(p)]
+        self.pivots = [builder.read(pivots.at(0, i)) for i in range(p)]
         for below in range(1, p):
             own, above = self.cross.row(below), self.cross.top(below)
             multiply(builder, own, self.factor.row(below, below), above, own, less=True)
         self.weighted = room(builder, "weighted", p, m)
         with builder.loop("i", 0, p) as k, builder.loop("j", 0, m) as j:
-            value = _value(builder, self.cross.at(k, j)) * _value(builder, self.inverse.at(0, k))
+            value = builder.read(self.cross.at(k, j)) * builder.read(self.inverse.at(0, k))
             builder.assign({self.weighted.at(k, j): value})
 
     def _eliminate(self, S: Dense, pivots: Dense, row: Whole) -> list[ca.SX]:
@@ -134,8 +137,8 @@ class BlockedUpdate:
         at = self.measurement.at
         of_y = at[row] if isinstance(row, int) else at[0] + (at[1] - at[0]) * row
         flags = []
-        pivot = builder.define(f"pivot{label}", _value(builder, S.at(row, row)))
-        own = builder.define(f"own{label}", _value(builder, self.given_before.at(0, row)))
+        pivot = builder.define(f"pivot{label}", builder.read(S.at(row, row)))
+        own = builder.define(f"own{label}", builder.read(self.given_before.at(0, row)))
         builder.assign({self.inverse.at(0, row): ca.SX(0), pivots.at(0, row): ca.SX(1)})
         significant = None
         if self.gate is not None:
@@ -145,22 +148,22 @@ class BlockedUpdate:
         with builder.if_present(of_y, significant):
             builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             builder.assign({self.inverse.at(0, row): 1 / pivot, pivots.at(0, row): pivot})
-            inverse = _value(builder, self.inverse.at(0, row))
+            inverse = builder.read(self.inverse.at(0, row))
             builder.assign(
                 {
                     f"quadratic{self.tag}": self.nis + own * (own * inverse),
                     f"log_constant{self.tag}": self.log_constant + LOG_TWO_PI,
                 }
             )
-        inverse = _value(builder, self.inverse.at(0, row))
+        inverse = builder.read(self.inverse.at(0, row))
         with builder.loop("i", row + 1, p) as i:
-            coupling = _value(builder, S.at(i, row))
+            coupling = builder.read(S.at(i, row))
             builder.assign({self.factor.at(i, row): coupling * inverse})
-            share = _value(builder, self.factor.at(i, row))
-            rest = _value(builder, self.given_before.at(0, i)) - share * own
+            share = builder.read(self.factor.at(i, row))
+            rest = builder.read(self.given_before.at(0, i)) - share * own
             builder.assign({self.given_before.at(0, i): rest})
             with builder.loop("j", row + 1, i + 1) as j:
-                rest = _value(builder, S.at(i, j)) - share * _value(builder, S.at(j, row))
+                rest = builder.read(S.at(i, j)) - share * builder.read(S.at(j, row))
                 builder.assign({S.at(i, j): rest})
         return flags
 
@@ -186,7 +189,7 @@ class BlockedUpdate:
         last = p - 1
         with builder.loop("j", 0, m) as j:
             value = self.weighted.at(last, j)
-            builder.assign({K.at(last, j): _value(builder, value)})
+            builder.assign({K.at(last, j): builder.read(value)})
         for i in reversed(range(last)):
             below = replace(self.factor.T.row(i), columns=last - i)
             below = replace(below, begin=below.begin + below.stride * (i + 1))
@@ -212,34 +215,32 @@ class BlockedUpdate:
         return as_packed(builder, f"covariance{self.tag}", left)
 
 
-def _value(builder: PhaseBuilder, place: At) -> ca.SX:
-    return builder.at(place.name, place.index)
-
-
 def moved_mean(builder: PhaseBuilder, A: ca.SX, mean: ca.SX, tag: str) -> ca.SX:
     """A x."""
     if is_sparse(A):
         return A @ mean
-    row, transition = as_row(builder, "estimated_state", mean), _transition(builder, A, tag)
-    found = multiply(builder, room(builder, f"next_state{tag}", 1, A.shape[0]), row, transition)
+    with builder.titled(_TITLE):
+        row, transition = as_row(builder, "estimated_state", mean), _transition(builder, A, tag)
+        found = multiply(builder, room(builder, f"next_state{tag}", 1, A.shape[0]), row, transition)
     return builder.symbol(found.name)[: A.shape[0]]
 
 
 def moved_covariance(builder: PhaseBuilder, A: ca.SX, Q: ca.SX, P: ca.SX, tag: str) -> ca.SX:
     """A P A' + Q, packed, of a packed P."""
     n = A.shape[0]
-    noise = filled(builder, f"process_noise{tag}", Q)
-    covariance = unpacked(builder, "estimated_covariance", P, n)
-    half, found = room(builder, "half_moved", n, n), room(builder, "next_matrix", n, n)
-    if is_sparse(A):
-        turned = room(builder, "turned", n, n)
-        transposed(builder, turned, combine(builder, half, A, covariance))
-        combine(builder, found, A, turned, noise, lower=True)
-    else:
-        transition = _transition(builder, A, tag)
-        multiply(builder, half, transition.T, covariance)
-        multiply(builder, found, half, transition, noise, lower=True)
-    return as_packed(builder, f"next_covariance{tag}", found)
+    with builder.titled(_TITLE):
+        noise = filled(builder, f"process_noise{tag}", Q)
+        covariance = unpacked(builder, "estimated_covariance", P, n)
+        half, found = room(builder, "half_moved", n, n), room(builder, "next_matrix", n, n)
+        if is_sparse(A):
+            turned = room(builder, "turned", n, n)
+            transposed(builder, turned, combine(builder, half, A, covariance))
+            combine(builder, found, A, turned, noise, lower=True)
+        else:
+            transition = _transition(builder, A, tag)
+            multiply(builder, half, transition.T, covariance)
+            multiply(builder, found, half, transition, noise, lower=True)
+        return as_packed(builder, f"next_covariance{tag}", found)
 
 
 def _transition(builder: PhaseBuilder, A: ca.SX, tag: str) -> Dense:

@@ -206,22 +206,24 @@ def propagate(
     B, Q = plant.B @ actuation.through, ca.SX(plant.Q)
     if moved:  # their noise is part of what was estimated
         B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
+    looped = posterior.deviation.numel() == 0 and plant.code_form == "loops"
     state = plant.moved
     if state is None:
-        state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
-    P = unpack(posterior.covariance, n)
+        moved_state = (
+            moved_mean(builder, plant.A, posterior.state, tag)
+            if looped
+            else plant.A @ posterior.state
+        )
+        state = moved_state + plant.B @ actuation.mean + plant.c
     spread = ca.SX.zeros(len(triangle(n))) if plant.spread is None else plant.spread
-    if posterior.deviation.numel() == 0 and plant.code_form == "loops":
+    if looped:
         noise = pack(plant.Q) + spread
         if actuation.size:
             noise += congruence(B, actuation.covariance)
-        with builder.titled("products with A"):
-            if plant.moved is None:
-                state = moved_mean(builder, plant.A, posterior.state, tag)
-                state += plant.B @ actuation.mean + plant.c
-            Q = unpack(noise, n)
-            covariance = moved_covariance(builder, plant.A, Q, posterior.covariance, tag)
+        Q = unpack(noise, n)
+        covariance = moved_covariance(builder, plant.A, Q, posterior.covariance, tag)
         return state, covariance, plant.A
+    P = unpack(posterior.covariance, n)
     if posterior.deviation.numel() == 0:
         carried = congruence if plant.moved is None else least_congruence
         covariance = carried(plant.A, P) + pack(plant.Q) + spread

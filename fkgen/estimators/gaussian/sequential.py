@@ -111,8 +111,7 @@ def _together(
         K = ca.SX(m, p)
         for i in range(m):
             for j in range(p):
-                place = gain.at(j, i)
-                K[i, j] = builder.at(place.name, place.index)
+                K[i, j] = builder.read(gain.at(j, i))
     return Conditioned(
         mean=mean,
         covariance=covariance,
