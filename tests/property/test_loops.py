@@ -48,7 +48,8 @@ def driven(seed, n, p):
 
 def apart(plant, *groups):
     """Rows of different groups have noises of their own."""
-    same = [[any({i, j} <= set(group) for group in groups) for j in range(4)] for i in range(4)]
+    rows = range(len(plant["R"]))
+    same = [[any({i, j} <= set(group) for group in groups) for j in rows] for i in rows]
     return plant | {"R": (np.array(plant["R"]) * same).tolist()}
 
 
@@ -102,6 +103,11 @@ SPECS = {
     "mjls_lmmse": table("mjls_lmmse", model(16, 2, 3), {"jump": JUMP}),
     "dfcf": table(
         "dfcf", apart(model(17, 2, 4), [0, 2], [1, 3]), {"soft": SOFT | {"host": [0, 2]}}
+    ),
+    "dfcf rows without a rule": table(
+        "dfcf",
+        apart(model(22, 2, 7), [0, 1, 3, 4, 6], [2, 5]),
+        {"soft": SOFT | {"host": [0, 1, 3, 4, 6]}},
     ),
     "cpcf": table(
         "cpcf", apart(model(18, 2, 4), [0, 1], [2, 3]), {"soft": SOFT | {"host": [0, 1]}}
