@@ -74,8 +74,9 @@ FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
 
 
-#: Operators that are a product and a sum in one rounding.
-FUSED = frozenset({Operator.FMA, Operator.FMS, Operator.FNMA})
+#: Operators that are a product and a sum in one rounding; the argument of fma() that has the other
+#: sign.
+FUSED = {Operator.FMA: None, Operator.FMS: 2, Operator.FNMA: 0}
 
 
 @dataclass(frozen=True, slots=True)

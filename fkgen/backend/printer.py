@@ -183,7 +183,7 @@ class StatementPrinter:
     def _fused(self, node: Expression) -> str:
         """A call of fma(): of a difference one argument has the other sign."""
         arguments = [self._bare(argument) for argument in node.arguments]
-        turned = {Operator.FNMA: 0, Operator.FMS: 2}.get(node.operator)
+        turned = ir.FUSED[node.operator]
         if turned is not None:
             text = self.operand(node.arguments[turned])
             arguments[turned] = text[1:] if text.startswith("-") else f"-{text}"

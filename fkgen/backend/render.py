@@ -14,7 +14,6 @@ from fkgen.backend.ir import (
     CopyArray,
     CProgram,
     Element,
-    OfMatrices,
     Operator,
     Phase,
     Scalar,
@@ -22,7 +21,6 @@ from fkgen.backend.ir import (
     Triangle,
     every,
     read,
-    walk,
 )
 from fkgen.backend.lanes.text import WHOLE, lanes_text
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
@@ -114,10 +112,10 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
-        "products": any(isinstance(n, OfMatrices) for body in outlined.bodies for n in walk(body)),
+        "products": outlined.of_matrices,
         "for_speed": "0" if program.optimise == "size" else "!defined(__OPTIMIZE_SIZE__)",
         "for_size": "1" if program.optimise == "size" else "defined(__OPTIMIZE_SIZE__)",
-        "unrolled": UNROLLED if max(_sizes(outlined), default=0) <= UNROLLED else 1,
+        "unrolled": UNROLLED if _largest_triangle(outlined) <= UNROLLED else 1,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c, outlined),
@@ -125,9 +123,10 @@ def _context(program: CProgram) -> dict[str, object]:
     }
 
 
-def _sizes(outlined: Outline) -> Iterable[int]:
-    """Rows of the symmetric matrices that are packed and unpacked."""
-    return (node.size for body in outlined.bodies for node in every(Triangle, body))
+def _largest_triangle(outlined: Outline) -> int:
+    """Rows of the largest symmetric matrix that is packed or unpacked."""
+    sizes = (node.size for node in outlined.of_matrices if isinstance(node, Triangle))
+    return max(sizes, default=0)
 
 
 def _selftest(c: Printer) -> dict[str, object]:

@@ -42,7 +42,7 @@ _FUNCTIONS = {
     *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *("product", "unpack", "packed", "fused"),
     *ir.FUNCTIONS,
-    *("reduced", "power_of_two", "fused"),
+    *("reduced", "power_of_two"),
 }
 
 #: Names that an argument or a local of a routine must not have.
@@ -213,6 +213,12 @@ class Outline:
     def bodies(self) -> tuple[ir.Body, ...]:
         """The statements of all functions."""
         return (*(phase.body for phase in self.phases), *(each.body for each in self.routines))
+
+    @property
+    def of_matrices(self) -> tuple[ir.OfMatrices, ...]:
+        """The statements about whole matrices."""
+        nodes = (node for body in self.bodies for node in ir.walk(body))
+        return tuple(node for node in nodes if isinstance(node, ir.OfMatrices))
 
 
 def outline(program: ir.CProgram) -> Outline:

@@ -19,6 +19,7 @@ from fkgen.symbolic.recursion import (
     Guard,
     Loop,
     OfMatrices,
+    Part,
     Phase,
     Product,
     Triangle,
@@ -36,7 +37,7 @@ class PhaseBuilder:
             e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)
         }
         self._variables: list[Variable] = []
-        self._blocks: list[Block | Loop | OfMatrices] = []
+        self._blocks: list[Part] = []
         self._condition: Condition | None = None
         self._titles: list[str] = []
 
@@ -236,10 +237,10 @@ class PhaseBuilder:
         symbols = {k: v for k, v in self._symbols.items() if name_of(k) not in dead}
         return Phase(blocks, variables, symbols, unless)
 
-    def _live(self, blocks: Sequence[Any], live: set[str]) -> tuple[Any, ...]:
+    def _live(self, blocks: Sequence[Part], live: set[str]) -> tuple[Part, ...]:
         """The blocks that compute what is ``live`` after them; then it is what is before them."""
         local = {variable.name for variable in self._variables}
-        found: list[Any] = []
+        found: list[Part] = []
         for block in reversed(blocks):
             if isinstance(block, OfMatrices):
                 if block.target.name in live or block.target.name not in local:

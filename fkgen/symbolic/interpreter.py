@@ -25,6 +25,7 @@ from fkgen.symbolic.recursion import (
     Condition,
     Loop,
     OfMatrices,
+    Part,
     Phase,
     Product,
     Recursion,
@@ -109,15 +110,13 @@ class Interpreter:
         return {name: np.array(value) for name, value in rows.items()}
 
 
-def _prepared(block: Block | Loop | OfMatrices, phase: Phase) -> Callable[[dict[str, Array]], bool]:
+def _prepared(block: Part, phase: Phase) -> Callable[[dict[str, Array]], bool]:
     """What runs a block or a loop on values; False if a guard refuses."""
     if isinstance(block, Loop):
         nest = _Nest(block, phase)
         return lambda values: nest.run(values, {})
-    if isinstance(block, Product):
-        return lambda values: _multiply(block, values)
-    if isinstance(block, Triangle):
-        return lambda values: _copy(block, values)
+    if isinstance(block, OfMatrices):
+        return _multiplied(block) if isinstance(block, Product) else _copied(block)
     function, threshold = block.function(phase.symbols), block.threshold(phase.symbols)
     return lambda values: _evaluate(block, function, threshold, values)
 
@@ -140,35 +139,43 @@ def _evaluate(
     return True
 
 
-def _multiply(product: Product, values: dict[str, Array]) -> bool:
-    """Every entry as one chain, all of them side by side."""
+def _multiplied(product: Product) -> Callable[[dict[str, Array]], bool]:
+    """What computes every entry as one chain, all of them side by side."""
+    at = entries(product.rows, product.columns, lower=product.lower)
 
     def places(place: At, k: int = 0) -> Any:
         return value(place.index, {**at, "k": k})
 
-    at = entries(product.rows, product.columns, lower=product.lower)
-    names = product.left, product.right
-    terms = (
-        operator.mul(*(values[each.name][places(each, k)] for each in names))
+    begin, target, to = product.start, product.target, places(product.target)
+    factors = [
+        [(each.name, places(each, k)) for each in (product.left, product.right)]
         for k in range(product.inner)
-    )
-    begin = product.start
-    found = next(terms) if begin is None else values[begin.name][places(begin)]
-    for term in terms:
-        found = found - term if product.less else found + term
-    values[product.target.name][places(product.target)] = found
-    return True
+    ]
+
+    def run(values: dict[str, Array]) -> bool:
+        terms = (operator.mul(*(values[name][i] for name, i in each)) for each in factors)
+        found = next(terms) if begin is None else values[begin.name][places(begin)]
+        for term in terms:
+            found = found - term if product.less else found + term
+        values[target.name][to] = found
+        return True
+
+    return run
 
 
-def _copy(triangle: Triangle, values: dict[str, Array]) -> bool:
-    """The entries on and below the diagonal, then those above it."""
+def _copied(triangle: Triangle) -> Callable[[dict[str, Array]], bool]:
+    """What copies the entries on and below the diagonal, then those above it."""
     at = entries(triangle.size, triangle.size, lower=True)
     source, target = triangle.source, triangle.target
-    found = values[source.name][value(source.index, at)]
-    values[target.name][value(target.index, at)] = found
-    if triangle.mirrored:
-        values[target.name][value(target.index, {"i": at["j"], "j": at["i"]})] = found
-    return True
+    ways = [at, {"i": at["j"], "j": at["i"]}] if triangle.mirrored else [at]
+    of, to = value(source.index, at), [value(target.index, way) for way in ways]
+
+    def run(values: dict[str, Array]) -> bool:
+        for each in to:
+            values[target.name][each] = values[source.name][of]
+        return True
+
+    return run
 
 
 def _any_row(
@@ -260,14 +267,7 @@ class _Nest:
     def __init__(self, loop: Loop, phase: Phase) -> None:
         self.loop, self.is_parallel = loop, loop.is_parallel
         self.threshold = _threshold(loop, phase)
-        self.body: list[_Nest | _Step] = [
-            _Nest(each, phase)
-            if isinstance(each, Loop)
-            else _Step(
-                each, _Operations(each.function(phase.symbols), each.reads), _threshold(each, phase)
-            )
-            for each in loop.body
-        ]
+        self.body = [_inside(each, phase) for each in loop.body]
 
     def run(self, values: dict[str, Array], variables: Mapping[str, Any]) -> bool:
         """Run it on ``values``; False if a guard refuses."""
@@ -280,6 +280,17 @@ class _Nest:
         return all(
             each.run(values, {**variables, loop.index: i}) for i in rounds for each in self.body
         )
+
+
+def _inside(part: Part, phase: Phase) -> _Nest | _Step:
+    """A part of a loop."""
+    match part:
+        case Loop():
+            return _Nest(part, phase)
+        case Block():
+            function = _Operations(part.function(phase.symbols), part.reads)
+            return _Step(part, function, _threshold(part, phase))
+    raise InternalError(f"a statement about whole matrices in a loop: {part.title}")
 
 
 def _threshold(block: Block | Loop, phase: Phase) -> _Operations | None:

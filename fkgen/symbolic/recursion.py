@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -105,7 +105,7 @@ class Loop:
     index: str
     begin: Whole
     end: Whole
-    body: tuple[Any, ...]  # of blocks and loops
+    body: tuple[Part, ...]
     when: Condition | None = None
     reads: tuple[Target, ...] = ()
     section: str = ""
@@ -187,6 +187,9 @@ class Triangle:
 #: Statements about whole matrices, which stand in no loop and under no condition.
 OfMatrices = Product | Triangle
 
+#: What a phase consists of, and a loop, in which there are none about whole matrices.
+Part = Block | Loop | OfMatrices
+
 
 @dataclass(frozen=True, slots=True)
 class Phase:
@@ -195,7 +198,7 @@ class Phase:
     With ``unless`` the phase is left out while the port of this name, a scalar, is positive.
     """
 
-    blocks: tuple[Block | Loop | OfMatrices, ...]
+    blocks: tuple[Part, ...]
     variables: tuple[Variable, ...]
     symbols: Mapping[Target, ca.SX]
     unless: str | None = None
@@ -389,7 +392,7 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
                 found += [value[i] for i in at]
         return found
 
-    def guarded(block: Any, *, once: bool) -> Any:
+    def guarded(block: Part, *, once: bool) -> Part:
         nonlocal sound
         if isinstance(block, OfMatrices):
             sound -= {e.element_hash() for e in ca.symvar(phase.symbols[block.target.name])}

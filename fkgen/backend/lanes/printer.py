@@ -19,9 +19,6 @@ from fkgen.symbolic.interface import Kind
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
 
-
-#: Which argument of fma() has the other sign.
-_TURNED = {Operator.FMA: None, Operator.FMS: 2, Operator.FNMA: 0}
 #: Columns of a product whose sums stand in registers at once.
 SIDE = 4
 
@@ -132,7 +129,7 @@ class LanesPrinter(StatementPrinter):
     def lane_triangle(self, node: ir.Triangle, branch: Branch) -> str:
         """Copy a triangle, and its mirror image."""
         source = self.vector(node.source)
-        targets = [node.target, *([_turned(node.target)] if node.mirrored else [])]
+        targets = [node.target, *([_mirrored(node.target)] if node.mirrored else [])]
         lines = [self._stored(self.operand(each), source, branch) for each in targets]
         return _loop("i", str(node.size), [_loop("j", "i + 1", lines)])
 
@@ -205,7 +202,7 @@ class LanesPrinter(StatementPrinter):
                 one, other = mixed if not all(map(self.is_same, arguments)) else a
                 text = f"{one} {_INFIX[operator]} {other}"
             case _ if operator in ir.FUSED:
-                if (turned := _TURNED[operator]) is not None:
+                if (turned := ir.FUSED[operator]) is not None:
                     a[turned] = f"-{a[turned]}"
                 text = f"{self.name}_lane_fma({', '.join(a)})"
             case Operator.NEG:
@@ -225,7 +222,7 @@ def _column(element: Element, by: int) -> Element:
     return element.shifted(by * step_of(element, "j"))
 
 
-def _turned(element: Element) -> Element:
+def _mirrored(element: Element) -> Element:
     """The element in the mirror of the diagonal."""
     if not isinstance(element.index, Index):
         return element

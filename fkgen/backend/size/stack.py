@@ -48,7 +48,7 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
         plain.append(_plain(phase.locals, phase.body, routines, size))
         small.append(_small(phase.locals, phase.body, routines, size))
     together = sum(plain) if inlined else max(plain)
-    if any(isinstance(node, ir.OfMatrices) for body in outlined.bodies for node in ir.walk(body)):
+    if outlined.of_matrices:
         together += _TILES
     together += together // 8  # what expressions keep on the way
     return Stack(

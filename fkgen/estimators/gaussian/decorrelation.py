@@ -34,6 +34,16 @@ def are_many(operations: float, times: float = 1.0) -> bool:
     return operations > times * STRAIGHT
 
 
+def multiplied(pivots: Sequence[ca.SX], per_log: int) -> list[ca.SX]:
+    """Products of so many pivots each, whose logarithms are taken."""
+    chunks = -(-len(pivots) // per_log)
+    found = [ca.SX(1)] * chunks
+    for at, pivot in enumerate(pivots):
+        chunk = at * chunks // len(pivots)
+        found[chunk] = found[chunk] * pivot
+    return found
+
+
 def has_a_rule(at: tuple[int, ...]) -> bool:
     """Whether rows of y lie equally far apart, so that a loop finds them."""
     return len({after - before for before, after in pairwise(at)}) <= 1

@@ -13,7 +13,13 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import Measurement, Row, are_many, has_a_rule
+from fkgen.estimators.gaussian.decorrelation import (
+    Measurement,
+    Row,
+    are_many,
+    has_a_rule,
+    multiplied,
+)
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
 from fkgen.symbolic.builder import PhaseBuilder
@@ -275,11 +281,7 @@ def taken_in_loops(
                 if arrays.is_coupled:
                     arrays.eliminate(j, HALF - flag)
     pivots = ca.vertsplit(builder.symbol(arrays.name("pivots")))
-    chunks = -(-p // measurement.pivots_per_log)
-    update.determinant = [ca.SX(1)] * chunks
-    for at, pivot in enumerate(pivots):
-        chunk = at * chunks // p
-        update.determinant[chunk] = update.determinant[chunk] * pivot
+    update.determinant = multiplied(pivots, measurement.pivots_per_log)
     update.variance = S
     update.rejected = [] if rejected is None else ca.vertsplit(rejected)
     if arrays.with_gain:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fkgen.estimators.gaussian.blocked import BlockedUpdate, is_blocked
-from fkgen.estimators.gaussian.decorrelation import Decorrelation, Measurement
+from fkgen.estimators.gaussian.decorrelation import Decorrelation, Measurement, multiplied
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rolled import Arrays, is_rolled, taken_in_loops
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
@@ -81,12 +81,16 @@ def condition(
         innovation=column(innovation),
         innovation_covariance=update.innovation_covariance() if S is None else S,
         nis=update.nis,
-        log_likelihood=-0.5
-        * (update.nis + total([update.log_constant, *map(ca.log, update.determinant)])),
+        log_likelihood=_log_likelihood(update.nis, update.log_constant, update.determinant),
         gain=update.gain,
         rejected=update.rejected,
     )
     return found if gate is None or by_row else _gated(builder, gate, found, prior)
+
+
+def _log_likelihood(nis: ca.SX, log_constant: ca.SX, determinant: Sequence[ca.SX]) -> ca.SX:
+    """Of a Gaussian, whose determinant comes in factors."""
+    return -0.5 * (nis + total([log_constant, *map(ca.log, determinant)]))
 
 
 def _together(
@@ -102,10 +106,7 @@ def _together(
     with builder.titled("all rows together"):
         covariance = update.joseph(gain) if form == "joseph" and gain else update.short()
         mean = update.mean()
-    chunks = -(-p // update.measurement.pivots_per_log)
-    determinant = [ca.SX(1)] * chunks
-    for at, pivot in enumerate(update.pivots):
-        determinant[at * chunks // p] *= pivot
+    determinant = multiplied(update.pivots, update.measurement.pivots_per_log)
     K = None
     if gain is not None and with_gain:
         K = ca.SX(m, p)
@@ -118,8 +119,7 @@ def _together(
         innovation=column(innovation),
         innovation_covariance=S,
         nis=update.nis,
-        log_likelihood=-0.5
-        * (update.nis + total([update.log_constant, *map(ca.log, determinant)])),
+        log_likelihood=_log_likelihood(update.nis, update.log_constant, determinant),
         gain=K,
         rejected=update.rejected,
     )
