@@ -16,7 +16,7 @@ setup = @command -v $(PYTHON) >/dev/null 2>&1 || \
 pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all bench lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all floats bench lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -33,7 +33,11 @@ test: ## run the tests: every family against its oracle, mutants, bits of the C,
 
 test-all: ## run what takes long too: all compilers, standards and levels, sanitizers, long Monte Carlo
 	$(setup) test
-	$(pytest) -m "" $(PYTEST_ARGS)
+	$(pytest) -m "not floats" $(PYTEST_ARGS)
+
+floats: ## judge the elementary functions of float at every float there is: an hour
+	$(setup) test
+	$(pytest) -m floats $(PYTEST_ARGS) tests/compiled
 
 bench: ## measure speed, next to other libraries
 	$(setup) bench

@@ -86,7 +86,7 @@ def test_digits_give_the_root_of_every_significand_of_a_float(tmp_path):
     np.testing.assert_array_equal(found, np.sqrt(x))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.floats
 def test_digits_give_the_root_of_every_float(tmp_path):
     over = compiled(tmp_path, "sqrt", "float", next(iter(C_COMPILERS)), ("-DFKGEN_NO_ASM", "-O2"))
     for x in every_float(1):
@@ -95,19 +95,20 @@ def test_digits_give_the_root_of_every_float(tmp_path):
 
 def every_float(stride):
     """All floats, or one of so many, in pieces."""
-    for first in range(0, 1 << 32, 1 << 24):
-        bits = np.arange(first, first + (1 << 24), stride, dtype=np.uint64)
+    piece = stride << 16  # what fits into caches
+    for first in range(0, 1 << 32, piece):
+        bits = np.arange(first, min(first + piece, 1 << 32), stride, dtype=np.uint64)
         yield bits.astype(np.uint32).view(np.float32)
 
 
 #: Units in the last place that a float may err by: half of one, and what the polynomial adds.
 #: Angles up to 100; beyond it the last digits of pi count too, near zeros of the function.
-ULPS = {"exp": 0.9, "log": 0.85, "sin": 0.95, "cos": 0.95, "tan": 0.8, "asin": 0.75, "acos": 0.75}
+ULPS = {"exp": 0.92, "log": 0.85, "sin": 0.95, "cos": 0.95, "tan": 0.8, "asin": 0.75, "acos": 0.75}
 ULPS |= {"sinh": 0.75, "cosh": 0.7, "tanh": 0.75}
 NUMPY = {"asin": np.arcsin, "acos": np.arccos}
 
 
-@pytest.mark.parametrize("stride", [251, pytest.param(1, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("stride", [251, pytest.param(1, marks=pytest.mark.floats)])
 @pytest.mark.parametrize("function", ULPS)
 def test_floats_err_by_less_than_one_unit(function, stride, tmp_path):
     over = compiled(tmp_path, function, "float", next(iter(C_COMPILERS)), ("-O2",))
