@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, wraps
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +31,7 @@ _DECIDING = ("<", "<=", ">", ">=", "==", "!=", "min", "max", "sign")
 def decided(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that decides by its arguments: without a value where one of them has none."""
 
+    @wraps(function)
     def found(*arguments: Number) -> Number:
         return function(*arguments) if _are_finite(*arguments) else np.nan
 
