@@ -55,15 +55,8 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
         ),
         ranges=tuple((item.name, _range(spec, item)) for item in spec.parameters),
         folded=_folded(spec, phases),
-        equations=_for_refusals(spec),
+        spec=json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]}),
     )
-
-
-def _for_refusals(spec: Spec) -> str:
-    """What it takes to say which equation has no value, and in whose words."""
-    if not spec.equations:
-        return ""
-    return json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]})
 
 
 def _equations(spec: Spec, equations: Equations) -> _Part:

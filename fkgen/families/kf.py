@@ -39,8 +39,9 @@ class KalmanOptions(GateOptions):
 
     def adapted(self, traits: Traits) -> Traits:
         """Not optimal for the samples of a record if the gain is that of the steady state."""
-        linear = self.gain is None and self.gate is None
-        return replace(traits, linear=traits.linear and linear)
+        varying = self.gain is None
+        linear = traits.linear and varying and self.gate is None
+        return replace(traits, linear=linear, hindsight=varying)
 
 
 def build(spec: Spec) -> Recursion:
@@ -70,7 +71,7 @@ FAMILY = Family(
     title="Kalman filter, no faults: missing samples, time-varying models",
     build=build,
     proof=proved_by("gaussian", "BATCH", "RICCATI", "CONSTANT_GAIN"),
-    traits=Traits(linear=True, correlated=True),
+    traits=Traits(linear=True, correlated=True, hindsight=True),
     options=KalmanOptions,
     check=check,
     starter="starter_kf.toml",

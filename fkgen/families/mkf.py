@@ -42,7 +42,7 @@ FAMILY = Family(
         "nonlinear:LINEARISED",
         theorems="mkf:IDENTITIES",
     ),
-    traits=Traits(linear=True, nonlinear=True),
+    traits=Traits(linear=True, nonlinear=True, hindsight=True),
     options=GateOptions,
     accepts={"actuator": read_actuator_faults},
     adopt=with_rate,

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.actuation import actuation_of, rates_of
 from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
@@ -45,7 +45,7 @@ from fkgen.symbolic.recursion import Phase, Recursion
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
-    size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
+    size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=size > 0)
@@ -97,11 +97,6 @@ def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
     return "actuation_deviation", "actuation_covariance", "actuation_cross_covariance"
 
 
-def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
-    faults = spec.faults.actuator
-    return certain(u) if faults is None else intermittent(faults, rates_of(faults, plant), u, plant)
-
-
 def _demand_rates(builder: PhaseBuilder, spec: Spec, plant: Plant) -> None:
     """Refuse success rates outside [0, 1] that come from run-time parameters."""
     if spec.faults.actuator is not None:
@@ -132,7 +127,7 @@ def _update(
         (told,) = mode_plants(spec, [spec.faults.sensor.told(spec.model)], plant)
         plant = replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
-    actuation = _actuation(spec, plant, symbols["u"])
+    actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
     found, posterior = correct(
         builder,
@@ -167,7 +162,7 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
     builder = PhaseBuilder(symbols)
     _demand_rates(builder, spec, plant)
     plant = bound(builder, plant, "ABQc")
-    actuation = _actuation(spec, plant, symbols["u"])
+    actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = moved_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     deviation, own, cross = _deviation_ports(plant)
