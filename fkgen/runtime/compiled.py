@@ -151,7 +151,7 @@ class CompiledFilter:
         *,
         start: Snapshot | Mapping[str, ArrayLike] | None = None,
     ) -> Smoothed:
-        """Estimate every sample of a record from all of it: filter it in C, then go back through it.
+        """Estimate every sample of a record from all of it: filter in C, then go back through it.
 
         Parameters are those of `run`.
 

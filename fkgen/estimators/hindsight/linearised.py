@@ -54,7 +54,7 @@ class Linearised:
             Q += B @ through @ variance @ (B @ through).T
             R += D @ through @ variance @ (D @ through).T
             S += B @ through @ variance @ (D @ through).T
-        inputs = predicted, filtered, u, ca.vertcat(*plant.parameters.values())
+        inputs = predicted, filtered, u, ca.vertcat(ca.SX(0, 1), *plant.parameters.values())
         found = {"A": A, "C": C, "Q": Q, "R": R, "S": S}
         maps = {letter: _over_samples(inputs, each) for letter, each in found.items()}
         return lambda given: {letter: each(given) for letter, each in maps.items()}
@@ -82,7 +82,8 @@ def _over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], 
     def values(given: Given) -> Array:
         T = given[0].shape[1]
         varies = any(
-            reads and bool((own != own[:, :1]).any()) for own, reads in zip(given, read, strict=True)
+            reads and bool((own != own[:, :1]).any())
+            for own, reads in zip(given, read, strict=True)
         )
         if not varies:
             own = np.asarray(function(*(each[:, :1] for each in given)))
