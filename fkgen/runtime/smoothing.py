@@ -89,7 +89,11 @@ def smoothable(path: Path) -> Spec:
 
 
 def smooth(
-    spec: Spec, run: Run, prior: Snapshot, u: Array, parameters: list[NDArray[np.floating]]
+    spec: Spec,
+    run: Run,
+    prior: Snapshot,
+    u: NDArray[np.floating],
+    parameters: list[NDArray[np.floating]],
 ) -> Smoothed:
     """Smooth a run that kept `PORTS`, from the instance that it began with."""
     T = len(run.status)
@@ -218,7 +222,8 @@ def _inverse(C: Array, P: Array, R: Array, used: NDArray[np.bool_]) -> Array:
     values, vectors = np.linalg.eigh(inverse[..., :, None] * S * inverse[..., None, :])
     kept = np.divide(1.0, values, out=np.zeros_like(values), where=values > NEGLIGIBLE)
     roots = inverse[..., :, None] * vectors
-    return roots * kept[..., None, :] @ _T(roots)
+    found: Array = roots * kept[..., None, :] @ _T(roots)
+    return found
 
 
 def _summed(F: Array, source: Array, last: Array, *, both: bool = True) -> tuple[Array, Array]:

@@ -81,10 +81,8 @@ def _over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], 
 
     def values(given: Given) -> Array:
         T = given[0].shape[1]
-        varies = any(
-            reads and bool((own != own[:, :1]).any())
-            for own, reads in zip(given, read, strict=True)
-        )
+        own_read = [own for own, reads in zip(given, read, strict=True) if reads]
+        varies = any(bool((own != own[:, :1]).any()) for own in own_read)
         if not varies:
             own = np.asarray(function(*(each[:, :1] for each in given)))
             return np.broadcast_to(own, (T, rows, columns))
