@@ -66,6 +66,12 @@ class Measurement:
     predicted: ca.SX | None = None  # (p, 1), what is predicted of y in place of C z
     wraps: tuple[int, ...] = ()  # Rows that are angles
     code_form: str = "auto"  # Of the C code, as that of a plant
+    #: What is positive where a row counts as there, if not whenever it is; empty for no row
+    kept: tuple[ca.SX | None, ...] = ()
+
+    def counts(self, row: int) -> ca.SX | None:
+        """What is positive where a row that is there counts, if that is not always so."""
+        return self.kept[row] if self.kept else None
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -80,6 +86,7 @@ class Measurement:
             at=tuple(self.at[i] for i in which),
             predicted=None if self.predicted is None else self.predicted[which],
             wraps=tuple(i for i, row in enumerate(which) if row in self.wraps),
+            kept=tuple(self.kept[i] for i in which) if self.kept else (),
         )
 
 
@@ -133,7 +140,7 @@ class Decorrelation:
     def eliminate_all(self) -> None:
         """Take the noise of every row out of those below."""
         for j in range(len(self.C)):
-            self.eliminate(j)
+            self.eliminate(j, self.measurement.counts(j))
 
     def eliminate(self, j: int, kept: ca.SX | None = None) -> None:
         """Take the noise of row j out of the rows below, where ``kept`` is positive."""

@@ -30,6 +30,7 @@ from fkgen.estimators.gaussian.gate import (
 )
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -56,8 +57,8 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
-        outcomes=gate_outcomes(spec),
-        notes=gate_notes(spec),
+        outcomes=(*gate_outcomes(spec), *Delays.of(spec).outcomes),
+        notes=(*gate_notes(spec), *Delays.of(spec).notes),
         repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
     )
 
@@ -65,13 +66,14 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
 def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
     """What every filter has, of the r random inputs that y depends on, and gains."""
     n, p, missing = plant.ne, plant.ny, "columns of missing rows are 0"
+    whole = n + Delays.of(spec).size  # with what is remembered of past samples
     deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
     covariance = "covariance of gamma[k] given y[0..k]"
     cross = "covariance of gamma[k] with the state given y[0..k]"
     inputs = (
         carried("actuation_deviation", (r,), deviation),
         carried("actuation_covariance", (r, r), covariance, symmetric=True),
-        carried("actuation_cross_covariance", (r, n), cross),
+        carried("actuation_cross_covariance", (r, whole), cross),
     )
     gains = (
         shown("gain", (n, p), f"K: d x(k+1|k) / d y[k]; {missing}", unit="x/y"),
@@ -82,9 +84,10 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
     noises = (
         carried("noise_mean", (r,), "E[w[k] | y[k]] of the states whose noise v[k] tells of"),
         carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
-        carried("noise_cross_covariance", (r, n), "covariance of the same with the state"),
+        carried("noise_cross_covariance", (r, whole), "covariance of the same with the state"),
     )
-    shared = (*noises, *innovation_ports(spec))
+    delays = Delays.of(spec)
+    shared = (*noises, *innovation_ports(spec, given=delays.given), *delays.ports(p))
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
@@ -116,55 +119,71 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
 
 
+def _told(builder: PhaseBuilder, spec: Spec, plant: Plant) -> Plant:
+    """The plant as its rows are measured, of one who is told how."""
+    faults = spec.faults.sensor
+    if faults is None:
+        return plant
+    _demand_indicators(builder, plant, faults)
+    (told,) = mode_plants(spec, [faults.told(spec.model)], plant)
+    return replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
+
+
 def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
     builder = PhaseBuilder(symbols)
     demand_positive(builder, symbols["predicted_covariance"])
     _demand_rates(builder, spec, plant)
-    if spec.faults.sensor is not None:
-        _demand_indicators(builder, plant, spec.faults.sensor)
-        (told,) = mode_plants(spec, [spec.faults.sensor.told(spec.model)], plant)
-        plant = replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
+    plant, delays = _told(builder, spec, plant), Delays.of(spec)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
+    plant, kept = delays.measured(builder, plant, symbols)
     found, posterior = correct(
         builder,
         plant,
         actuation,
-        (symbols["predicted_state"], symbols["predicted_covariance"]),
+        delays.joint(symbols, PREDICTED),
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
         gate=Gate.of(spec),
+        kept=kept,
     )
     demand_finite(builder, posterior.state)
     of_both = by_rows(posterior.cross_covariance)
     deviation = posterior.deviation, posterior.deviation_covariance, of_both
     assign = {
-        "filtered_state": posterior.state,
-        "filtered_covariance": posterior.covariance,
+        **delays.split(posterior.state, posterior.covariance, FILTERED),
+        **delays.aged(symbols, predicted=False),
         **dict(zip(_deviation_ports(plant), deviation, strict=True)),
         **innovation_results(found),
         **gate_results(found.rejected),
     }
     if found.gain is not None:
-        assign["filtered_gain"] = by_rows(found.gain[: plant.ne, :])
+        assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
     with builder.titled("results of the update"):
+        assign |= delays.counted(builder, kept)
         builder.assign({name: value for name, value in assign.items() if value.numel()})
     return builder.phase()
 
 
 def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
     """Propagate what is known of x, and of inputs and noise, to the next sample."""
-    builder = PhaseBuilder(symbols)
+    builder, delays = PhaseBuilder(symbols), Delays.of(spec)
     _demand_rates(builder, spec, plant)
-    plant = bound(builder, plant, "ABQc")
+    letters = "ABQc"
+    if delays.rows:
+        plant, letters = _told(builder, spec, plant), "ABQcCDd"
+    plant = bound(builder, plant, letters)
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = moved_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
-    posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
+    if delays.rows:
+        (plant,) = seen_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
+    plant = delays.moving(plant, symbols)
+    posterior, r = Posterior(*delays.joint(symbols, FILTERED)), 0
     deviation, own, cross = _deviation_ports(plant)
     if deviation in symbols:
         r = symbols[deviation].numel()
@@ -175,12 +194,16 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             cross_covariance=from_rows(symbols[cross], r),
         )
     state, covariance, through = propagate(builder, plant, actuation, posterior)
-    assign = {"predicted_state": state, "predicted_covariance": covariance}
+    if plant.noise_free:
+        covariance = delays.not_negative(covariance)
+    assign = delays.split(state, covariance, PREDICTED)
+    assign |= delays.aged(symbols, predicted=True)
     if with_gain:
-        gain = from_rows(symbols["filtered_gain"], plant.ne)
+        n, whole = delays.n, plant.ne
+        gain = through[:n, :n] @ from_rows(symbols["filtered_gain"], n)
         if r:
-            gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
-        assign["gain"] = by_rows(through @ gain)
+            gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
+        assign["gain"] = by_rows(gain)
     with builder.titled("prediction of the next sample"):
         builder.assign(assign, [finite(state, covariance)])
     return builder.phase()
