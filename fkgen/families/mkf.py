@@ -37,6 +37,7 @@ FAMILY = Family(
     proof=proved_by(
         "gaussian",
         "BATCH",
+        "LAGGED",
         "OPTIMAL_GAIN",
         "RICCATI",
         "nonlinear:LINEARISED",

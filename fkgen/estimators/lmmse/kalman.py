@@ -31,6 +31,7 @@ from fkgen.estimators.gaussian.gate import (
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
+from fkgen.estimators.hindsight.lagged import Lagged
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -54,11 +55,12 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         spec=spec,
         source=source,
         ports=ports,
+        start=_lagged(spec, plant).start(spec, symbols),
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
         outcomes=(*gate_outcomes(spec), *Delays.of(spec).outcomes),
-        notes=(*gate_notes(spec), *Delays.of(spec).notes),
+        notes=(*gate_notes(spec), *Delays.of(spec).notes, *_lagged(spec, plant).notes),
         repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
     )
 
@@ -88,9 +90,18 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
     )
     delays = Delays.of(spec)
     shared = (*noises, *innovation_ports(spec, given=delays.given), *delays.ports(p))
+    shared += _lagged(spec, plant).ports()
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
+
+
+def _lagged(spec: Spec, plant: Plant) -> Lagged:
+    """Past samples, with what y tells of beside x."""
+    if plant.S.nnz():
+        return Lagged.of(spec, len(moved_by_noise(plant)))
+    none = not plant.D.nnz()
+    return Lagged.of(spec, 0 if none else actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size)
 
 
 def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
@@ -164,6 +175,10 @@ def _update(
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
+    beside = plant.D @ actuation.through @ actuation.covariance
+    if plant.S.nnz():
+        beside = plant.S[moved_by_noise(plant), :].T
+    _lagged(spec, plant).corrected(builder, plant, found, symbols["predicted_covariance"], beside)
     with builder.titled("results of the update"):
         assign |= delays.counted(builder, kept)
         builder.assign({name: value for name, value in assign.items() if value.numel()})
@@ -204,6 +219,7 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
         if r:
             gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
         assign["gain"] = by_rows(gain)
+    _lagged(spec, plant).moved(builder, posterior, through)
     with builder.titled("prediction of the next sample"):
         builder.assign(assign, [finite(state, covariance)])
     return builder.phase()

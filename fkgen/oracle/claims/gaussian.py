@@ -8,8 +8,9 @@ import numpy as np
 
 from fkgen.faults.chain import Mode
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, of_matrices, ports
-from fkgen.oracle.exact.batch import Delays, batch_lmmse
+from fkgen.oracle.exact.batch import Delays, batch_lmmse, joint_distribution
 from fkgen.oracle.exact.gate import batch_gated
+from fkgen.oracle.exact.hindsight import given_so_far
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import informed
@@ -112,6 +113,15 @@ def used(spec: Spec, record: Record) -> Array:
     return np.where(_estimates(spec, record)["rejected"] > 0.0, np.nan, record.y)
 
 
+def _lagged(spec: Spec, record: Record) -> Ports | None:
+    lag = spec.filter.option("lag", None)
+    if lag is None:
+        return None
+    joint = joint_distribution(system_of(spec, record), record.u)
+    found = given_so_far(joint, used(spec, record), lag)
+    return dict(zip(("lagged_state", "lagged_covariance"), found, strict=True))
+
+
 def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
     system = system_of(spec, record)
     A, C = system.A[0], system.C[0]
@@ -212,6 +222,12 @@ BATCH = ClosedForm(
     source="linear minimum mean square error estimate from second moments",
     tolerance=digits_at_stake,
     expected=of_matrices(_batch),
+)
+LAGGED = ClosedForm(
+    claim="estimates of past samples are those of the joint distribution",
+    source="linear minimum mean square error estimate from second moments",
+    tolerance=digits_at_stake,
+    expected=of_matrices(_lagged),
 )
 RICCATI = ClosedForm(
     claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",
