@@ -37,26 +37,27 @@ class Delays:
 
     rows: tuple[tuple[int, int, str], ...]  # Row of y, largest delay, the parameter that holds it
     n: int  # Rows of the covariance of x
+    replayed: bool = False  # The last samples are gone through again instead
 
     @classmethod
-    def of(cls, spec: Spec) -> Delays:
+    def of(cls, spec: Spec, *, replayed: bool = False) -> Delays:
         """Those of a spec; without any everything here is empty."""
         found = [
             (row, signal.max_delay, signal.delay)
             for row, signal in enumerate(spec.model.outputs)
             if signal.max_delay
         ]
-        return cls(tuple(found), spec.model.ne)
+        return cls(tuple(found), spec.model.ne, replayed)
 
     @property
     def size(self) -> int:
         """Number of signals that are remembered."""
-        return sum(most for _, most, _ in self.rows)
+        return 0 if self.replayed else sum(most for _, most, _ in self.rows)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the header says."""
-        if not self.rows:
+        if not self.size:
             return ()
         count = 2 * (self.size + self._covariance + 1)
         what = f"{self.size} signals of past samples are part of the state"
@@ -95,13 +96,14 @@ class Delays:
             carried(f"{of}{name}", shape, meanings[name].format(k), corrected=twin, inner=True)
             for of, k in (("predicted_", "-1"), ("", ""))
             for name, shape in sizes.items()
+            if name == AGE or self.size
             for twin in [name if of else ""]
         )
 
     def joint(self, symbols: dict[str, ca.SX], of: tuple[str, str]) -> tuple[ca.SX, ca.SX]:
         """Mean and packed covariance of x and of what is remembered, before or after an update."""
         own = [symbols[f"{of[0]}{name}"] for name in ("state", "covariance")]
-        if not self.rows:
+        if not self.size:
             return own[0], own[1]
         past = [symbols[f"{of[1]}{name}"] for name in (MEAN, COVARIANCE)]
         return ca.vertcat(own[0], past[0]), ca.vertcat(own[1], past[1])
@@ -110,14 +112,14 @@ class Delays:
         """What is assigned of both."""
         n, entries = state.numel() - self.size, len(triangle(self.n))
         found = {f"{of[0]}state": state[:n], f"{of[0]}covariance": covariance[:entries]}
-        if self.rows:
+        if self.size:
             found |= {f"{of[1]}{MEAN}": state[n:], f"{of[1]}{COVARIANCE}": covariance[entries:]}
         return found
 
     def not_negative(self, covariance: ca.SX) -> ca.SX:
         """The joint covariance without variances below zero, where rows have no noise."""
         found, at = ca.SX(covariance), self.n
-        for _, most, _ in self.rows:
+        for _, most, _ in self.rows if self.size else ():
             latest = at * (at + 3) // 2
             found[latest] = ca.fmax(found[latest], 0)
             at += most
@@ -161,12 +163,15 @@ class Delays:
         for row, most, name in self.rows:
             delay = plant.parameters[name]
             with builder.titled(f"how late row {row} of y is, {plant.rows[row]}"):
+                there = builder.local(f"delay_{row}", 1, initial=0.0)
                 with builder.if_present(row):
                     limits = [delay, most - delay, ca.floor(delay) - delay]
                     builder.demand(Kind.NONNEGATIVE, limits, Status.PARAMETER_OUT_OF_RANGE)
-                ages = column([_is_about(delay, age) for age in range(most + 1)])
+                    builder.assign({f"delay_{row}": ca.densify(delay)})
+                ages = column([_is_about(there, age) for age in range(most + 1)])
                 late = builder.define(f"late_{row}", ages)
-            kept[row] = symbols[f"predicted_{AGE}"] - delay + HALF
+            kept[row] = counts = symbols[f"predicted_{AGE}"] - there + HALF
+            late = ca.vertcat(late[0] + ca.SX(counts < 0), late[1:])
             C[row, :], D[row, :], d[row] = (late[0] * each[row, :] for each in (C, D, d))
             past[row, at : at + most] = late[1:].T
             if seen is not None:
@@ -180,7 +185,7 @@ class Delays:
 
     def moving(self, plant: Plant, symbols: dict[str, ca.SX]) -> Plant:
         """The plant that moves on what late rows would see of past samples, and adds this one."""
-        if not self.rows:
+        if not self.size:
             return plant
         n, m, q, at = plant.ne, self.size, plant.nu, 0
         A, B, c = ca.SX(m, n + m), ca.SX(m, q), ca.SX(m, 1)

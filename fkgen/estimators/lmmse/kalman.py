@@ -32,13 +32,14 @@ from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
 from fkgen.estimators.hindsight.lagged import Lagged
+from fkgen.estimators.hindsight.replay import Replay
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
-from fkgen.symbolic.linalg import sparse
+from fkgen.symbolic.linalg import by_rows, from_rows, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -47,6 +48,7 @@ from fkgen.symbolic.recursion import Phase, Recursion
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
+    replay = replay_of(spec, plant)
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
     symbols = symbols_of(spec, plant, ports)
@@ -59,16 +61,22 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
-        outcomes=(*gate_outcomes(spec), *Delays.of(spec).outcomes),
-        notes=(*gate_notes(spec), *Delays.of(spec).notes, *_lagged(spec, plant).notes),
-        repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
+        outcomes=(*gate_outcomes(spec), *_delays(spec, plant).outcomes),
+        notes=(
+            *gate_notes(spec),
+            *_delays(spec, plant).notes,
+            *(() if replay is None else replay.notes),
+            *_lagged(spec, plant).notes,
+        ),
+        repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),
     )
 
 
 def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
     """What every filter has, of the r random inputs that y depends on, and gains."""
     n, p, missing = plant.ne, plant.ny, "columns of missing rows are 0"
-    whole = n + Delays.of(spec).size  # with what is remembered of past samples
+    delays, replay = _delays(spec, plant), replay_of(spec, plant)
+    whole = n + delays.size  # with what is remembered of past samples
     deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
     covariance = "covariance of gamma[k] given y[0..k]"
     cross = "covariance of gamma[k] with the state given y[0..k]"
@@ -88,9 +96,8 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
         carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
         carried("noise_cross_covariance", (r, whole), "covariance of the same with the state"),
     )
-    delays = Delays.of(spec)
     shared = (*noises, *innovation_ports(spec, given=delays.given), *delays.ports(p))
-    shared += _lagged(spec, plant).ports()
+    shared += (*(() if replay is None else replay.ports()), *_lagged(spec, plant).ports())
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
@@ -130,12 +137,34 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
 
 
-def _told(builder: PhaseBuilder, spec: Spec, plant: Plant) -> Plant:
+def _delays(spec: Spec, plant: Plant) -> Delays:
+    """Rows that may be late, and what is done about them."""
+    return Delays.of(spec, replayed=replay_of(spec, plant) is not None)
+
+
+def replay_of(spec: Spec, plant: Plant) -> Replay | None:
+    """What is kept of past samples for late rows, where their noises are their own.
+
+    Where R ties them to others, or y tells of noises and inputs of x, or of what a gate decides,
+    they are part of the state instead: see `Delays`.
+    """
+    delays = Delays.of(spec, replayed=True)
+    rows, R = [row for row, _, _ in delays.rows], plant.R
+    tied = not R.sparsity().is_diag() or plant.S.nnz() or plant.noise_free
+    random = spec.faults.actuator is not None and plant.D.nnz()
+    curved, gated = plant.lifted is not None, Gate.of(spec) is not None
+    if not rows or tied or random or curved or gated:
+        return None
+    if update_form(spec, plant, augmented=False) != "short":
+        return None
+    return Replay(delays, _sensed(spec, plant))
+
+
+def _sensed(spec: Spec, plant: Plant) -> Plant:
     """The plant as its rows are measured, of one who is told how."""
     faults = spec.faults.sensor
     if faults is None:
         return plant
-    _demand_indicators(builder, plant, faults)
     (told,) = mode_plants(spec, [faults.told(spec.model)], plant)
     return replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
 
@@ -146,16 +175,24 @@ def _update(
     builder = PhaseBuilder(symbols)
     demand_positive(builder, symbols["predicted_covariance"])
     _demand_rates(builder, spec, plant)
-    plant, delays = _told(builder, spec, plant), Delays.of(spec)
+    delays, replay = _delays(spec, plant), replay_of(spec, plant)
+    if spec.faults.sensor is not None:
+        _demand_indicators(builder, plant, spec.faults.sensor)
+    plant = _sensed(spec, plant)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
-    plant, kept = delays.measured(builder, plant, symbols)
+    prior, passage = delays.joint(symbols, PREDICTED), None
+    if replay is None:
+        plant, kept = delays.measured(builder, plant, symbols)
+    else:
+        passage = replay.corrected(builder, plant, replay.kept(builder, plant, symbols))
+        prior, kept = passage.prior(), tuple(map(passage.counts, range(plant.ny)))
     found, posterior = correct(
         builder,
         plant,
         actuation,
-        delays.joint(symbols, PREDICTED),
+        prior,
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
@@ -179,6 +216,9 @@ def _update(
     if plant.S.nnz():
         beside = plant.S[moved_by_noise(plant), :].T
     _lagged(spec, plant).corrected(builder, plant, found, symbols["predicted_covariance"], beside)
+    if passage is not None:
+        assign |= passage.results(found, symbols)
+        kept = tuple(passage.counted(row) for row in range(plant.ny))
     with builder.titled("results of the update"):
         assign |= delays.counted(builder, kept)
         builder.assign({name: value for name, value in assign.items() if value.numel()})
@@ -187,15 +227,17 @@ def _update(
 
 def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
     """Propagate what is known of x, and of inputs and noise, to the next sample."""
-    builder, delays = PhaseBuilder(symbols), Delays.of(spec)
+    builder, delays = PhaseBuilder(symbols), _delays(spec, plant)
     _demand_rates(builder, spec, plant)
     letters = "ABQc"
-    if delays.rows:
-        plant, letters = _told(builder, spec, plant), "ABQcCDd"
+    if delays.size:
+        if spec.faults.sensor is not None:
+            _demand_indicators(builder, plant, spec.faults.sensor)
+        plant, letters = _sensed(spec, plant), "ABQcCDd"
     plant = bound(builder, plant, letters)
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = moved_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
-    if delays.rows:
+    if delays.size:
         (plant,) = seen_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
     plant = delays.moving(plant, symbols)
     posterior, r = Posterior(*delays.joint(symbols, FILTERED)), 0
@@ -238,13 +280,3 @@ def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
 def constant(values: NDArray[np.floating]) -> ca.SX:
     """A constant matrix whose zeros are structural."""
     return sparse(ca.SX(ca.DM(values)))
-
-
-def by_rows(matrix: ca.SX) -> ca.SX:
-    """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
-    return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
-
-
-def from_rows(values: ca.SX, rows: int) -> ca.SX:
-    """The matrix with this many rows whose entries are given row by row."""
-    return ca.reshape(values, values.numel() // rows, rows).T

@@ -100,7 +100,7 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
 def late(joint: Joint, system: LinearSystem, y: Array, delays: Delays) -> tuple[Joint, Array]:
     """Rows that see the sample of ``delays`` (T, p) samples ago, with the noise of their own one.
 
-    And y, in which rows from before sample 0, which see nothing, are missing.
+    And y, in which rows from before sample 0 are missing. Missing rows see their own sample.
     """
     T, p = y.shape
     n, q = system.nx, system.nu
@@ -110,11 +110,12 @@ def late(joint: Joint, system: LinearSystem, y: Array, delays: Delays) -> tuple[
         noise = slice(begin, begin + n + p)
         own[k, :, noise] = joint.measurement_root[k, :, noise]
     signal, at = joint.measurement_root - own, np.arange(T)[:, None] - delays
-    there, columns, seen = np.maximum(at, 0), np.arange(p), at >= 0
+    unseen = (at < 0) | np.isnan(y)
+    there, columns = np.where(unseen, np.arange(T)[:, None], at), np.arange(p)
     found = replace(
         joint,
-        measurement_mean=joint.measurement_mean[there, columns] * seen,
-        measurement_root=signal[there, columns] * seen[..., np.newaxis] + own,
+        measurement_mean=joint.measurement_mean[there, columns],
+        measurement_root=signal[there, columns] + own,
     )
     return found, np.where(at < 0, np.nan, y)
 
