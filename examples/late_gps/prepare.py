@@ -85,7 +85,8 @@ def make(data: Path, target: Path) -> Record:
     """Write record.csv, a column per name of the specification; an empty field is missing."""
     flight, text = merged(data), StringIO()
     late = np.tile(flight.delay[:, np.newaxis], len(ROWS))
-    rows, formats = np.column_stack([flight.t, flight.y, late]), ["%.4f"] + ["%.3f"] * 4 + ["%d"] * 4
+    rows = np.column_stack([flight.t, flight.y, late])
+    formats = ["%.4f"] + ["%.3f"] * len(ROWS) + ["%d"] * len(ROWS)
     header = ",".join(("t", *ROWS, *flight.delays()))
     np.savetxt(text, rows, formats, delimiter=",", header=header, comments="")
     (target / "record.csv").write_text(text.getvalue().replace("nan", ""), encoding="utf-8")
