@@ -24,6 +24,7 @@ from fkgen.version import __version__
 
 if TYPE_CHECKING:
     from fkgen.problem import Spec
+    from fkgen.study.records.filtering import Told
     from fkgen.study.records.reading import Reading
 
 _INTERRUPTED = 130
@@ -140,7 +141,7 @@ def main() -> None:
     fkgen new mkf -o motor.toml      a spec to begin with; or --from record.csv
     fkgen check motor.toml           is the model sound?
     fkgen generate motor.toml        C code
-    fkgen run motor.toml record.csv  filter a record
+    fkgen run motor.toml record.csv  filter a record; smooth: each sample from all of it
     fkgen fault-effect motor.toml    what a fault does to the estimate
     fkgen compare motor.toml         which family to take
     """  # noqa: D301 - \b is for click
@@ -268,7 +269,27 @@ def run(spec: Spec, record: Reading, **options: Any) -> None:
     """
     from fkgen.study.records import filtering
 
-    told = filtering.run(spec, record, **options)
+    _end(filtering.run(spec, record, **options))
+
+
+@main.command()
+@_SPEC
+@click.argument("record", type=Path)
+@_CSV
+@_FORCE
+@_reading
+def smooth(spec: Spec, record: Reading, **options: Any) -> None:
+    """Estimate every sample of RECORD from all of it: states and standard deviations.
+
+    Numbers go to the standard output, a summary and what is to be said to the standard error.
+    """
+    from fkgen.study.records import filtering
+
+    _end(filtering.smooth(spec, record, **options))
+
+
+def _end(told: Told) -> NoReturn:
+    """Say what there is to say of a record."""
     _say("note", told.notes)
     _say("warning", (*told.warnings, *told.refused))
     _say("summary", [told.summary])

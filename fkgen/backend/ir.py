@@ -401,7 +401,7 @@ class Stated:
     ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
     #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()
-    equations: str = ""  # The spec as JSON, where refusals are explained by its f and h
+    spec: str = "{}"  # It itself as JSON, with its f and h in the words of its author
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -394,7 +394,7 @@ def _check_repeats(program: ir.CProgram) -> None:
 
 
 def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
-    """The results that a phase writes."""
+    """The results that a phase writes, and may then write again under a condition."""
     assigned: set[Temp] = set()
     written: set[tuple[str, int | None]] = set()
     unconditional = set(map(id, _unconditional(phase.body)))
@@ -409,11 +409,12 @@ def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
                 raise InternalError(f"{name}: temporary {node.target.index} is assigned twice")
             assigned.add(node.target)
         if isinstance(node, ir.Assign) and node.target.space is Space.NEXT:
-            if id(node) not in unconditional:
-                raise InternalError(f"{name}: {node.target} is written under a condition")
+            first = id(node) in unconditional
             for index in ir.places(node.target.index, loops):
                 place = node.target.name, index
-                if place in written:
+                if not first and place not in written:
+                    raise InternalError(f"{name}: {node.target} is written under a condition")
+                if first and place in written:
                     raise InternalError(f"{name}: {node.target} is written twice")
                 written.add(place)
     return written

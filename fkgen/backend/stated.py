@@ -55,15 +55,8 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
         ),
         ranges=tuple((item.name, _range(spec, item)) for item in spec.parameters),
         folded=_folded(spec, phases),
-        equations=_for_refusals(spec),
+        spec=json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]}),
     )
-
-
-def _for_refusals(spec: Spec) -> str:
-    """What it takes to say which equation has no value, and in whose words."""
-    if not spec.equations:
-        return ""
-    return json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]})
 
 
 def _equations(spec: Spec, equations: Equations) -> _Part:
@@ -274,14 +267,26 @@ def _jump(spec: Spec, jump: JumpFaults) -> _Part:
     return text, listings
 
 
-def _range(spec: Spec, item: Parameter) -> str:
-    """What is known about a parameter: its range, its unit, and where it stands."""
-    name, sensor, actuator = item.name, spec.faults.sensor, spec.faults.actuator
-    if sensor is not None and name not in {item.name for item in spec.stated_parameters}:
-        return {
+def _told(spec: Spec, sensor: SensorFaults | None) -> dict[str, str]:
+    """What parameters mean that no file states."""
+    late = [signal for signal in spec.model.outputs if signal.max_delay]
+    found = {
+        each.delay: f"a whole number, 0..{each.max_delay}: so many samples ago was {each.name}"
+        for each in late
+    }
+    if sensor is not None and spec.filter.traits.told:
+        found |= {
             "gamma": "1: the rows that can fail hold a signal, 0: they hold none",
             "delta": f"1 or {_text(_factor(sensor))}: factor of the variance of their noise",
-        }[name]
+        }
+    return found
+
+
+def _range(spec: Spec, item: Parameter) -> str:
+    """What is known about a parameter: its range, its unit, and where it stands."""
+    name, actuator, told = item.name, spec.faults.actuator, _told(spec, spec.faults.sensor)
+    if name in told:
+        return told[name]
     rates = () if actuator is None else actuator.success_rate
     if Name(name) in rates and not item.is_bounded:
         return "a rate, in [0, 1]"

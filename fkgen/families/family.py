@@ -155,7 +155,33 @@ class Family:
                     "none: only the family kf, and ekf, take noises that are correlated",
                 )
             )
+        _check_hindsight(spec)
         self.check(spec)
+
+
+def _check_hindsight(spec: Spec) -> None:
+    """Refuse a lag, or rows that may be late, where what came before is not remembered."""
+    lag = spec.filter.option("lag", None)
+    if lag is not None:
+        at, given = Place(spec.file, "filter").entry("lag"), f"{lag} samples"
+        if not spec.filter.traits.hindsight:
+            raise at.error(f"{given} with a stationary gain", "gain = 'time_varying'")
+        if spec.model.attitudes:
+            raise at.error(f"{given}, of a plant with an attitude", "states without SO3")
+    late = [i for i, signal in enumerate(spec.model.outputs) if signal.max_delay]
+    if not late:
+        return
+    at = Place(spec.file, "model.outputs").item(late[0]).entry("max_delay")
+    given = f"a row that may be late, for the family {spec.filter.family}"
+    if not spec.filter.traits.hindsight:
+        expected = "one of kf, ekf, mkf, genie, its gain not stationary; elsewhere states that"
+        raise at.error(given, f"{expected} keep what is measured late: docs/delays.md")
+    if lag is not None:
+        raise at.error("a row that may be late, beside filter.lag", "one of the two")
+    if spec.model.attitudes:
+        raise at.error("a row that may be late, of a plant with an attitude", "states without SO3")
+    if spec.filter.option("gate_by", None) == "sample":
+        raise at.error("a row that may be late, with gate_by = 'sample'", "gate_by = 'row'")
 
 
 def demand_stationary(at: Place, *system: NDArray[np.float64]) -> None:

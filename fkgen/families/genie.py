@@ -28,10 +28,10 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """Those of the Kalman filter, whose C, D and R change from sample to sample."""
-    from fkgen.oracle.claims.gaussian import BATCH, RICCATI
+    from fkgen.oracle.claims.gaussian import BATCH, LAGGED, RICCATI
     from fkgen.oracle.claims.nonlinear import LINEARISED
 
-    return Proof((BATCH, RICCATI, LINEARISED))
+    return Proof((BATCH, LAGGED, RICCATI, LINEARISED))
 
 
 def without_law(table: Table, _: Spec) -> Table:
@@ -46,7 +46,10 @@ FAMILY = Family(
     build=build,
     proof=proof,
     traits=Traits(
-        linear=True, nonlinear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))
+        linear=True,
+        nonlinear=True,
+        hindsight=True,
+        told=(Parameter("gamma", 1.0), Parameter("delta", 1.0)),
     ),
     options=GateOptions,
     accepts={"sensor": partial(read_sensor_faults, law="optional")},

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, Self, get_args
 from fkgen.families.family import Family, built_by, demand_stationary, proved_by
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Traits
-from fkgen.problem.gate import GateOptions, read_gate
+from fkgen.problem.gate import GateOptions, read_gate, read_lag
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
@@ -35,12 +35,14 @@ class KalmanOptions(GateOptions):
     def read(cls, section: Section, _: object, __: Model) -> Self:
         """The gate, and the gain."""
         gain: Gain = section.choice("gain", get_args(Gain), "time_varying")
-        return cls(*read_gate(section), "stationary" if gain == "stationary" else None)
+        stationary: Literal["stationary"] | None = "stationary" if gain == "stationary" else None
+        return cls(*read_gate(section), read_lag(section), stationary)
 
     def adapted(self, traits: Traits) -> Traits:
         """Not optimal for the samples of a record if the gain is that of the steady state."""
-        linear = self.gain is None and self.gate is None
-        return replace(traits, linear=traits.linear and linear)
+        varying = self.gain is None
+        linear = traits.linear and varying and self.gate is None
+        return replace(traits, linear=linear, hindsight=varying)
 
 
 def build(spec: Spec) -> Recursion:
@@ -69,8 +71,8 @@ FAMILY = Family(
     name="kf",
     title="Kalman filter, no faults: missing samples, time-varying models",
     build=build,
-    proof=proved_by("gaussian", "BATCH", "RICCATI", "CONSTANT_GAIN"),
-    traits=Traits(linear=True, correlated=True),
+    proof=proved_by("gaussian", "BATCH", "LAGGED", "RICCATI", "CONSTANT_GAIN"),
+    traits=Traits(linear=True, correlated=True, hindsight=True),
     options=KalmanOptions,
     check=check,
     starter="starter_kf.toml",

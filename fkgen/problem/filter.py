@@ -51,6 +51,8 @@ class Traits:
     #: Gaussian, merged again; "mixed": several estimates, mixed before every sample
     models: Literal["one", "bank", "merged", "mixed"] = "one"
     correlated: bool = False  # Noise of the state may be correlated with that of y
+    #: One mean and one covariance with a gain for every sample: what a smoother works back through
+    hindsight: bool = False
     densities: bool = False  # It compares densities of y, so R has to be positive definite
     moments: bool = False  # Gains follow from unconditional second moments, P0 among them
     #: "none"; rows of y wait for the end of a window as an estimate of the whole state

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from fkgen.problem.filter import Parameter
+from fkgen.problem.model import Model
 from fkgen.problem.signals import check_distinct, parameter_words, read_name
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number, as_table
@@ -42,6 +43,19 @@ def read_parameters(
             )
     check_distinct((each.name for each in (*parameters, *told)), place, "parameters")
     return (*parameters, *told)
+
+
+def delays_of(
+    model: Model, parameters: tuple[Parameter, ...], place: Place
+) -> tuple[Parameter, ...]:
+    """How late rows of y are, one parameter for each that may be."""
+    late = [signal for signal in model.outputs if signal.max_delay]
+    for signal in late:
+        for each in parameters:
+            if each.name.lower() == signal.delay.lower():
+                expected = f"another name: it is that of the delay of the row {signal.name}"
+                raise place.entry(each.name).error(f"a parameter {each.name}", expected)
+    return tuple(Parameter(signal.delay, 0.0) for signal in late)
 
 
 def vectors(parameters: tuple[Parameter, ...]) -> dict[str, tuple[str, ...]]:

@@ -114,6 +114,10 @@ def check_distinct(names: Iterable[str], place: Place, what: str) -> None:
 
 MAX_UNIT = 40
 
+#: Samples by which a row of y may be late at most, each of which costs memory.
+MAX_DELAY = 100
+_DELAY = f"a whole number of samples, 0..{MAX_DELAY}"
+
 Manifold = Literal["", "SO3"]
 
 
@@ -125,16 +129,26 @@ class Signal:
     unit: str = ""  # Such as "rad/s"; empty if not stated
     wrap: bool = False  # An angle in radians, whose differences lie in (-pi, pi]
     manifold: Manifold = ""  # "SO3": a unit quaternion (w, x, y, z), body to world
+    max_delay: int = 0  # Samples by which a row of y may be late
+
+    @property
+    def delay(self) -> str:
+        """The run-time parameter that says how late the row is."""
+        return f"delay_{self.name}"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"name": self.name, "unit": self.unit}
         table |= {"wrap": True} if self.wrap else {}
+        table |= {"max_delay": self.max_delay} if self.max_delay else {}
         return table | ({"manifold": self.manifold} if self.manifold else {})
 
 
 #: What a signal may state besides its name and unit.
-_ABOUT: dict[str, tuple[str, ...]] = {"states": ("wrap", "manifold"), "outputs": ("wrap",)}
+_ABOUT: dict[str, tuple[str, ...]] = {
+    "states": ("wrap", "manifold"),
+    "outputs": ("wrap", "max_delay"),
+}
 
 
 def read_signals(section: Section, key: str, letter: str, count: int | None) -> tuple[Signal, ...]:
@@ -165,7 +179,12 @@ def _signal(entry: object, place: Place, about: tuple[str, ...]) -> Signal:
     )
     if wrap and manifold:
         raise section.error("wrap", "wrap beside manifold = 'SO3'", "one of the two")
-    return Signal(name, unit, wrap, manifold)
+    delay = section.number("max_delay", _DELAY, _is_delay, 0) if "max_delay" in section else 0
+    return Signal(name, unit, wrap, manifold, int(delay))
+
+
+def _is_delay(number: float) -> bool:
+    return number in range(MAX_DELAY + 1)
 
 
 def read_unit(section: Section) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
 from fkgen.problem.scope import (
     check_float,
+    delays_of,
     plain_parameters,
     read_parameters,
     read_tables,
@@ -54,7 +55,8 @@ class Spec:
     model : Model
         The plant.
     parameters : tuple of Parameter
-        In the order of the file, then those of the family (``gamma`` and ``delta`` of ``genie``).
+        In the order of the file, then those of the family (``gamma`` and ``delta`` of ``genie``),
+        then the delays of rows that may be late.
     faults : Faults
         What can fail.
     filter : Filter
@@ -110,6 +112,7 @@ class Spec:
         parameters, defaults = _read_scope(whole, place, name, family)
         given_model = whole.require("model", "a table with the plant")
         model = read_model(given_model, place.entry("model"), defaults)
+        parameters = (*parameters, *delays_of(model, parameters, place.entry("parameters")))
         family.check_model(model, place)
         given_faults, where = whole.table.get("faults", {}), place.entry("faults")
         faults = families.read_faults(family, given_faults, where, defaults, model)
@@ -121,7 +124,7 @@ class Spec:
             filter=_read_filter(options, family, faults, model),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
-            record=_read_record(whole, model, defaults),
+            record=_read_record(whole, model, [each.name for each in parameters]),
             file=file,
         )
         _check_numbers(spec, place)
@@ -186,9 +189,10 @@ class Spec:
 
     @property
     def stated_parameters(self) -> tuple[Parameter, ...]:
-        """The parameters of the file, without those that the family brings along."""
-        told = self.filter.traits.told
-        return tuple(item for item in self.parameters if item not in told)
+        """The parameters of the file, without those of the family, and the delays of rows."""
+        told = [item.name for item in self.filter.traits.told]
+        told += [signal.delay for signal in self.model.outputs if signal.max_delay]
+        return tuple(item for item in self.parameters if item.name not in told)
 
     @property
     def whole(self) -> Spec:
@@ -229,11 +233,11 @@ def _read_filter(options: Section, family: Any, faults: Faults, model: Model) ->
     )
 
 
-def _read_record(whole: Section, model: Model, defaults: Scope) -> Columns:
+def _read_record(whole: Section, model: Model, parameters: Sequence[str]) -> Columns:
     """Where signals and parameters stand in record files."""
     place, known = whole.place.entry("record"), (*model.outputs, *model.inputs)
     given = whole.table.get("record", {})
-    return read_record(given, place, [*(signal.name for signal in known), *defaults])
+    return read_record(given, place, [*(signal.name for signal in known), *parameters])
 
 
 def _check_numbers(spec: Spec, place: Place) -> None:

@@ -195,7 +195,17 @@ def trial(spec: Spec, given: Gentle = PLAIN, *, steady: bool = False) -> tuple[R
         missing[1, 0] = True
         missing[2] = True
         y[missing] = np.nan
+    drawn |= _late(spec, T, rng, steady=steady or is_nonlinear(spec))
     return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec, drawn)), lasting
+
+
+def _late(spec: Spec, T: int, rng: np.random.Generator, *, steady: bool) -> dict[str, Array]:
+    """How late rows are that may be: anything, or not at all."""
+    late = [signal for signal in spec.model.outputs if signal.max_delay]
+    most = [0 if steady else signal.max_delay for signal in late]
+    return {
+        s.delay: rng.integers(0, m + 1, T).astype(float) for s, m in zip(late, most, strict=True)
+    }
 
 
 def samples_with_values(y: Array) -> int:

@@ -16,7 +16,7 @@ from fkgen.errors import OutputError
 
 LIBRARY = "filter.so"
 LAYOUT = "layout.json"
-EQUATIONS = "equations.json"  # of a plant that has some, to explain refusals by
+SPEC = "spec.json"  # what was built: for smoothers, and to explain refusals by its equations
 
 #: Lines of /proc/cpuinfo that decide about instructions, on x86 and on ARM.
 _TELLING = frozenset(("model name", "flags", "Features", "CPU implementer", "CPU part"))

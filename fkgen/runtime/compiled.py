@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
 from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
+
+if TYPE_CHECKING:
+    from fkgen.runtime.smoothing import Smoothed
 
 Array = NDArray[np.floating]
 
@@ -139,6 +142,40 @@ class CompiledFilter:
         found = self._room((len(measured),), keep)
         self._filter(self._starts(start, given), (measured, driven), given, found)
         return found
+
+    def smooth(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        params: Mapping[str, ArrayLike] | None = None,
+        *,
+        start: Snapshot | Mapping[str, ArrayLike] | None = None,
+    ) -> Smoothed:
+        """Estimate every sample of a record from all of it: filter in C, then go back through it.
+
+        Parameters are those of `run`.
+
+        Returns
+        -------
+        Smoothed
+
+        Raises
+        ------
+        DataError
+            If shapes, types or names do not fit, or the family has no smoother.
+        """
+        from fkgen.runtime import smoothing  # noqa: PLC0415 - few filters are smoothed
+
+        spec = smoothing.smoothable(self.folder / cache.SPEC)
+        measured = record.measurements(self.layout, y)
+        driven = record.inputs(self.layout, u, len(measured))
+        given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
+        rejected = tuple(port.name for port in self.layout.ports if port.flags)
+        found = self._room((len(measured),), (*smoothing.PORTS, *rejected))
+        begun = self._starts(start, given)
+        prior = Snapshot(self.layout, bytes(begun[0]), 0)
+        self._filter(begun, (measured, driven), given, found)
+        return smoothing.smooth(spec, found, prior, driven, given)
 
     def pieces(self, keep: Sequence[str] | None = None) -> Pieces:
         """What filters a record piece by piece, as `run` the whole of it."""
@@ -425,7 +462,7 @@ class CompiledFilter:
 
     def _reason(self, status: int, parts: str) -> str:
         """Which equation is why the last call was refused, which was about "h", "f" or both."""
-        path, at = self.folder / cache.EQUATIONS, self.snapshot()
+        path, at = self.folder / cache.SPEC, self.snapshot()
         if Status(status) not in _EXPLAINED or not path.is_file():
             return ""
         from fkgen.runtime.refusals import reason  # noqa: PLC0415 - needed for refusals alone

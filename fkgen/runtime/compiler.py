@@ -107,8 +107,8 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     layout = layout_of(program, source.claims)
     texts = {**source.files, f"{program.name}_record.c": source.record}
     texts |= {f"{program.name}_lanes.c": source.lanes} if source.lanes else {}
-    texts |= {cache.EQUATIONS: text} if (text := program.stated.equations) else {}
-    return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
+    texts |= {cache.LAYOUT: layout.to_json(), cache.SPEC: program.stated.spec}
+    return _made(key, texts, layout, compiler)
 
 
 def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler) -> Path:

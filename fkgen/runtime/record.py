@@ -259,7 +259,8 @@ def _listed(names: Sequence[str]) -> str:
 def kept(layout: Layout, keep: Sequence[str] | None) -> list[Port]:
     """The ports to store; all of them by default."""
     known = [port.name for port in layout.ports]
-    names = known if keep is None else names_of("keep", keep, "names of ports")
+    usual = [port.name for port in layout.ports if not port.inner]
+    names = usual if keep is None else names_of("keep", keep, "names of ports")
     for name in names:
         if name not in known and name != "status":
             raise DataError("keep", given=repr(name), expected=choice(name, known))

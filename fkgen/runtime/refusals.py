@@ -36,6 +36,8 @@ def reason(
     """What of "f" or of "h" is not finite at an instance, in one line; empty if nothing is."""
     layout = at.layout
     facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    if not facts["written"]:  # it has matrices
+        return ""
     try:
         spec = Spec.from_dict(facts["spec"])
     except FkgenError:  # its family is in a package that is not here

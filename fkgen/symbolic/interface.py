@@ -91,6 +91,7 @@ class Port:
     corrected: str = ""
     #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
     flags: bool = False
+    inner: bool = False  # For the filter alone: a run keeps it only if it is asked for by name
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
     #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
     prior: Literal["", "x", "P"] = ""

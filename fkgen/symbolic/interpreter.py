@@ -34,6 +34,22 @@ from fkgen.symbolic.recursion import (
 
 Array = NDArray[np.float64]
 
+#: Functions that have the same name in both.
+_SAME = (
+    "sqrt",
+    "exp",
+    "log",
+    "floor",
+    "sign",
+    "sin",
+    "cos",
+    "tan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "hypot",
+)
+
 #: What NumPy does for each operation that CasADi knows.
 _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ADD: operator.add,
@@ -47,7 +63,13 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_SQ: lambda a: a * a,
     ca.OP_TWICE: lambda a: a + a,
     ca.OP_INV: lambda a: 1.0 / a,
-    **{getattr(ca, f"OP_{name.upper()}"): getattr(np, name) for name in ("sqrt", "exp", "log")},
+    ca.OP_LT: lambda a, b: np.less(a, b) * 1.0,
+    ca.OP_LE: lambda a, b: np.less_equal(a, b) * 1.0,
+    ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0),
+    ca.OP_ASIN: np.arcsin,
+    ca.OP_ACOS: np.arccos,
+    ca.OP_ATAN2: np.arctan2,
+    **{getattr(ca, f"OP_{name.upper()}"): getattr(np, name) for name in _SAME},
 }
 
 

@@ -143,3 +143,13 @@ def spread(weights: ca.SX, means: Sequence[ca.SX], mean: ca.SX) -> ca.SX:
 def total(matrices: Iterable[ca.SX]) -> ca.SX:
     """Sum of matrices of one shape."""
     return reduce(operator.add, matrices)
+
+
+def by_rows(matrix: ca.SX) -> ca.SX:
+    """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
+    return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
+
+
+def from_rows(values: ca.SX, rows: int) -> ca.SX:
+    """The matrix with this many rows whose entries are given row by row."""
+    return ca.reshape(values, values.numel() // rows, rows).T

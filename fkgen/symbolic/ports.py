@@ -78,13 +78,16 @@ def twins(name: str, shape: tuple[int, ...], meaning: str, start: Start = ()) ->
     return now, later
 
 
-def innovation_ports(spec: Spec) -> tuple[Port, ...]:
-    """Innovation, its covariance, and the two numbers that tell whether they fit."""
+def innovation_ports(spec: Spec, *, given: str = "") -> tuple[Port, ...]:
+    """Innovation, its covariance, and the two numbers that tell whether they fit.
+
+    ``given`` is the port that says which rows count, where those that are present need not.
+    """
     p = spec.model.ny
     covariance = "its covariance, of all rows, present or not"
     innovation = "y[k] minus its prediction; 0 where the row is missing"
     return (
-        shown("innovation", (p,), innovation, unit="y", per_row=True),
+        shown("innovation", (p,), innovation, unit="y", per_row=True, given=given),
         shown("innovation_covariance", (p, p), covariance, unit="yy", symmetric=True),
         shown("nis", (), "normalised innovation squared over the rows present"),
         shown("log_likelihood", (), "log density of the rows present given y[0..k-1]"),

@@ -15,6 +15,7 @@ SETS = {
     "battery": "battery_leaf",
     "car_speed": "car_wheel_speed",
     "gps_glitch": "uav_gps_glitch",
+    "late_gps": "uav_gps_glitch",
     "ship_track": "ship_tracks_ais",
 }
 MADE = {
@@ -22,6 +23,7 @@ MADE = {
     "battery": {"record.csv"},
     "car_speed": {"record.csv", "lost.csv", "reference.csv"},
     "gps_glitch": {"record.csv"},
+    "late_gps": {"record.csv"},
     "ship_track": {"reports.csv"},  # its record.csv is made of this one, see test_ship_track.py
 }
 

@@ -65,5 +65,6 @@ def _only_shown(program: ir.CProgram) -> set[str]:
         if each.space in {Space.SELF, Space.NEXT}
     }
     read |= {outcome.port for outcome in program.outcomes}
+    read |= {port.given for port in program.ports}
     read |= {phase.unless for phase in program.phases if phase.unless is not None}
     return {port.name for port in program.ports} - read

@@ -121,7 +121,8 @@ class _Trace:
         before = [self.number(target) for target in targets]
         self.body(node.body, outside=False)
         for target, old in zip(targets, before, strict=True):
-            ways = (self.latest[target], frozenset({(key, True)})), (old, frozenset({(key, False)}))
+            now = self.number(target)  # a loop may have left it unknown
+            ways = (now, frozenset({(key, True)})), (old, frozenset({(key, False)}))
             self.latest[target] = self._new(ways)
 
     def number(self, operand: ir.Operand) -> int:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.faults import ActuatorFaults
+from fkgen.problem import Spec
 from fkgen.symbolic.lifting.expressions import lift, lift_expression
 from fkgen.symbolic.linalg import is_zero, sparse
 from fkgen.symbolic.plant import Plant
@@ -55,3 +56,9 @@ def intermittent(faults: ActuatorFaults, rates: list[ca.SX], u: ca.SX, plant: Pl
     if not kept:
         return certain(mean)
     return Actuation(mean=mean, through=through[:, kept], covariance=sparse(covariance[kept, kept]))
+
+
+def actuation_of(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
+    """What reaches the plant of a spec."""
+    faults = spec.faults.actuator
+    return certain(u) if faults is None else intermittent(faults, rates_of(faults, plant), u, plant)

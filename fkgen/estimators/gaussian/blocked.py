@@ -46,6 +46,7 @@ def is_sparse(matrix: ca.SX) -> bool:
 def is_blocked(measurement: Measurement) -> bool:
     """Whether conditioning on these rows is written in products of matrices."""
     apart = measurement.S is not None or measurement.rank_tolerance is not None
+    apart = apart or bool(measurement.kept)
     of_y = bool(measurement.at) and measurement.C.nnz() > 0
     return of_y and not apart and measurement.code_form == "loops"
 

@@ -66,6 +66,12 @@ class Measurement:
     predicted: ca.SX | None = None  # (p, 1), what is predicted of y in place of C z
     wraps: tuple[int, ...] = ()  # Rows that are angles
     code_form: str = "auto"  # Of the C code, as that of a plant
+    #: What is positive where a row counts as there, if not whenever it is; empty for no row
+    kept: tuple[ca.SX | None, ...] = ()
+
+    def counts(self, row: int) -> ca.SX | None:
+        """What is positive where a row that is there counts, if that is not always so."""
+        return self.kept[row] if self.kept else None
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -80,6 +86,7 @@ class Measurement:
             at=tuple(self.at[i] for i in which),
             predicted=None if self.predicted is None else self.predicted[which],
             wraps=tuple(i for i, row in enumerate(which) if row in self.wraps),
+            kept=tuple(self.kept[i] for i in which) if self.kept else (),
         )
 
 
@@ -133,7 +140,7 @@ class Decorrelation:
     def eliminate_all(self) -> None:
         """Take the noise of every row out of those below."""
         for j in range(len(self.C)):
-            self.eliminate(j)
+            self.eliminate(j, self.measurement.counts(j))
 
     def eliminate(self, j: int, kept: ca.SX | None = None) -> None:
         """Take the noise of row j out of the rows below, where ``kept`` is positive."""
@@ -194,10 +201,24 @@ class Whitened:
         return total(e[j] * e[j] * inverse for j, inverse in enumerate(self.inverse))
 
 
-def whiten(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
-    """Write the blocks that eliminate S (packed) from ``columns`` (p, c)."""
+def whiten(
+    builder: PhaseBuilder,
+    packed: ca.SX,
+    columns: ca.SX,
+    tag: str,
+    *,
+    kept: Sequence[ca.SX] = (),
+    tolerance: float | None = None,
+) -> Whitened:
+    """Write the blocks that eliminate S (packed) from ``columns`` (p, c).
+
+    ``kept`` is positive where a row counts that is there; with a ``tolerance`` those do not of
+    which so small a share of their variance is news.
+    """
     p = columns.shape[0]
-    if are_many(p**4 / 3.0):  # each step in line goes through those before it again
+    if (
+        not kept and tolerance is None and are_many(p**4 / 3.0)
+    ):  # each step in line goes through those before it again
         return _whiten_in_loops(builder, packed, columns, tag)
     S = ca.SX(unpack(packed, p))
     rows = [columns[i, :] for i in range(p)]
@@ -207,7 +228,11 @@ def whiten(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str) -> Wh
         inverse, log = f"whitening_inverse{tag}_{j}", f"whitening_log{tag}_{j}"
         inverses.append(builder.local(inverse, 1, initial=0.0))
         logs.append(builder.local(log, 1, initial=0.0))
-        with builder.if_present(j):
+        counts = kept[j] if kept else None
+        if tolerance is not None:
+            news = pivot - tolerance * packed[j * (j + 3) // 2]
+            counts = news if counts is None else ca.fmin(counts, news)
+        with builder.if_present(j, counts):
             builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             builder.assign({inverse: 1 / pivot})
             builder.assign({log: ca.log(pivot) + LOG_TWO_PI})

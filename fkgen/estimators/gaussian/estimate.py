@@ -93,13 +93,15 @@ def correct(
     with_gain: bool = False,
     gate: Gate | None = None,
     as_errors: bool = False,
+    kept: tuple[ca.SX | None, ...] = (),
 ) -> tuple[Conditioned, Posterior]:
     """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11).
 
     A plant with f and h is linearised there. ``as_errors`` leaves the corrections of a state with
-    attitudes as errors about the prediction.
+    attitudes as errors about the prediction. ``kept`` is what is positive where rows count.
     """
     joint, measurement = _augmented(plant, actuation, prior, y)
+    measurement = replace(measurement, kept=kept)
     found = condition(
         builder, joint, measurement, tag=tag, form=form, with_gain=with_gain, gate=gate
     )

@@ -39,7 +39,7 @@ DENSER, SPARSE = 1.5, 6.0
 def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     """Whether conditioning on these rows is written in loops."""
     (p, m), at, R = measurement.C.shape, measurement.at, measurement.R
-    if measurement.code_form == "straight":
+    if measurement.code_form == "straight" or measurement.kept:
         return False
     if p < 2 or not has_a_rule(at):
         return False

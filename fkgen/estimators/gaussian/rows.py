@@ -40,6 +40,7 @@ class SequentialUpdate:
     gain: ca.SX | None
     pivots_per_log: InitVar[int]
     gate: Gate | None = None
+    kept: tuple[ca.SX | None, ...] = ()  # As of a measurement
     mean: ca.SX = field(init=False)
     determinant: list[ca.SX] = field(init=False)
     nis: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -86,6 +87,9 @@ class SequentialUpdate:
             own = diagonal(self.variance)[i]
             builder.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
             significant = pivot - self.rank_tolerance * own  # no combination of the rows before it
+        counts = self.kept[i] if self.kept else None
+        if counts is not None:
+            significant = counts if significant is None else ca.fmin(counts, significant)
         row_of_y = self.at[i] if self.at else None
         if self.gate is not None:
             tested = builder.define(f"given_before{label}", innovation), pivot

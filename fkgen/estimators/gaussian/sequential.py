@@ -156,13 +156,15 @@ class _Rows:
             gain=ca.SX(m, p) if with_gain else None,
             pivots_per_log=measurement.pivots_per_log,
             gate=gate,
+            kept=measurement.kept,
         )
         for i, name in enumerate(measurement.rows):
             update.rows[i] = noise.row(i)
             with builder.titled(f"row {measurement.at[i]} of y, {name}"):
                 update.update_row(i)
             if gate is not None:
-                noise.eliminate(i, HALF - update.rejected[i])
+                passed, counts = HALF - update.rejected[i], measurement.counts(i)
+                noise.eliminate(i, passed if counts is None else ca.fmin(passed, counts))
         return update
 
 
@@ -211,6 +213,6 @@ def innovations(
             result.append(builder.local(name, 1, initial=0.0))
             predicted = ca.mtimes(measurement.C[i, :], mean) if seen is None else seen[i]
             value = measurement.y[i] - predicted - measurement.offset[i]
-            with builder.if_present(measurement.at[i]):
+            with builder.if_present(measurement.at[i], measurement.counts(i)):
                 builder.assign({name: reduced(value) if i in measurement.wraps else value})
     return result

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.actuation import actuation_of, rates_of
 from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
@@ -30,13 +30,16 @@ from fkgen.estimators.gaussian.gate import (
 )
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
+from fkgen.estimators.hindsight.lagged import Lagged
+from fkgen.estimators.hindsight.replay import Replay
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
-from fkgen.symbolic.linalg import sparse
+from fkgen.symbolic.linalg import by_rows, from_rows, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -45,7 +48,8 @@ from fkgen.symbolic.recursion import Phase, Recursion
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
-    size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
+    replay = replay_of(spec, plant)
+    size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=size > 0)
@@ -53,25 +57,33 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         spec=spec,
         source=source,
         ports=ports,
+        start=_lagged(spec, plant).start(spec, symbols),
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
-        outcomes=gate_outcomes(spec),
-        notes=gate_notes(spec),
-        repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
+        outcomes=(*gate_outcomes(spec), *_delays(spec, plant).outcomes),
+        notes=(
+            *gate_notes(spec),
+            *_delays(spec, plant).notes,
+            *(() if replay is None else replay.notes),
+            *_lagged(spec, plant).notes,
+        ),
+        repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),
     )
 
 
 def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
     """What every filter has, of the r random inputs that y depends on, and gains."""
     n, p, missing = plant.ne, plant.ny, "columns of missing rows are 0"
+    delays, replay = _delays(spec, plant), replay_of(spec, plant)
+    whole = n + delays.size  # with what is remembered of past samples
     deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
     covariance = "covariance of gamma[k] given y[0..k]"
     cross = "covariance of gamma[k] with the state given y[0..k]"
     inputs = (
         carried("actuation_deviation", (r,), deviation),
         carried("actuation_covariance", (r, r), covariance, symmetric=True),
-        carried("actuation_cross_covariance", (r, n), cross),
+        carried("actuation_cross_covariance", (r, whole), cross),
     )
     gains = (
         shown("gain", (n, p), f"K: d x(k+1|k) / d y[k]; {missing}", unit="x/y"),
@@ -82,12 +94,21 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
     noises = (
         carried("noise_mean", (r,), "E[w[k] | y[k]] of the states whose noise v[k] tells of"),
         carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
-        carried("noise_cross_covariance", (r, n), "covariance of the same with the state"),
+        carried("noise_cross_covariance", (r, whole), "covariance of the same with the state"),
     )
-    shared = (*noises, *innovation_ports(spec))
+    shared = (*noises, *innovation_ports(spec, given=delays.given), *delays.ports(p))
+    shared += (*(() if replay is None else replay.ports()), *_lagged(spec, plant).ports())
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
+
+
+def _lagged(spec: Spec, plant: Plant) -> Lagged:
+    """Past samples, with what y tells of beside x."""
+    if plant.S.nnz():
+        return Lagged.of(spec, len(moved_by_noise(plant)))
+    none = not plant.D.nnz()
+    return Lagged.of(spec, 0 if none else actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size)
 
 
 def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
@@ -95,11 +116,6 @@ def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
     if plant.S.nnz():
         return "noise_mean", "noise_covariance", "noise_cross_covariance"
     return "actuation_deviation", "actuation_covariance", "actuation_cross_covariance"
-
-
-def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
-    faults = spec.faults.actuator
-    return certain(u) if faults is None else intermittent(faults, rates_of(faults, plant), u, plant)
 
 
 def _demand_rates(builder: PhaseBuilder, spec: Spec, plant: Plant) -> None:
@@ -121,55 +137,110 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
 
 
+def _delays(spec: Spec, plant: Plant) -> Delays:
+    """Rows that may be late, and what is done about them."""
+    return Delays.of(spec, replayed=replay_of(spec, plant) is not None)
+
+
+def replay_of(spec: Spec, plant: Plant) -> Replay | None:
+    """What is kept of past samples for late rows, where their noises are their own.
+
+    Where R ties them to others, or y tells of noises and inputs of x, or of what a gate decides,
+    they are part of the state instead: see `Delays`.
+    """
+    delays = Delays.of(spec, replayed=True)
+    rows, R = [row for row, _, _ in delays.rows], plant.R
+    tied = not R.sparsity().is_diag() or plant.S.nnz() or plant.noise_free
+    random = spec.faults.actuator is not None and plant.D.nnz()
+    curved, gated = plant.lifted is not None, Gate.of(spec) is not None
+    if not rows or tied or random or curved or gated:
+        return None
+    if update_form(spec, plant, augmented=False) != "short":
+        return None
+    return Replay(delays, _sensed(spec, plant))
+
+
+def _sensed(spec: Spec, plant: Plant) -> Plant:
+    """The plant as its rows are measured, of one who is told how."""
+    faults = spec.faults.sensor
+    if faults is None:
+        return plant
+    (told,) = mode_plants(spec, [faults.told(spec.model)], plant)
+    return replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
+
+
 def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
     builder = PhaseBuilder(symbols)
     demand_positive(builder, symbols["predicted_covariance"])
     _demand_rates(builder, spec, plant)
+    delays, replay = _delays(spec, plant), replay_of(spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
-        (told,) = mode_plants(spec, [spec.faults.sensor.told(spec.model)], plant)
-        plant = replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
+    plant = _sensed(spec, plant)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
-    actuation = _actuation(spec, plant, symbols["u"])
+    actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
+    prior, passage = delays.joint(symbols, PREDICTED), None
+    if replay is None:
+        plant, kept = delays.measured(builder, plant, symbols)
+    else:
+        passage = replay.corrected(builder, plant, replay.kept(builder, plant, symbols))
+        prior, kept = passage.prior(), tuple(map(passage.counts, range(plant.ny)))
     found, posterior = correct(
         builder,
         plant,
         actuation,
-        (symbols["predicted_state"], symbols["predicted_covariance"]),
+        prior,
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
         gate=Gate.of(spec),
+        kept=kept,
     )
     demand_finite(builder, posterior.state)
     of_both = by_rows(posterior.cross_covariance)
     deviation = posterior.deviation, posterior.deviation_covariance, of_both
     assign = {
-        "filtered_state": posterior.state,
-        "filtered_covariance": posterior.covariance,
+        **delays.split(posterior.state, posterior.covariance, FILTERED),
+        **delays.aged(symbols, predicted=False),
         **dict(zip(_deviation_ports(plant), deviation, strict=True)),
         **innovation_results(found),
         **gate_results(found.rejected),
     }
     if found.gain is not None:
-        assign["filtered_gain"] = by_rows(found.gain[: plant.ne, :])
+        assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
+    beside = plant.D @ actuation.through @ actuation.covariance
+    if plant.S.nnz():
+        beside = plant.S[moved_by_noise(plant), :].T
+    _lagged(spec, plant).corrected(builder, plant, found, symbols["predicted_covariance"], beside)
+    if passage is not None:
+        assign |= passage.results(found, symbols)
+        kept = tuple(passage.counted(row) for row in range(plant.ny))
     with builder.titled("results of the update"):
+        assign |= delays.counted(builder, kept)
         builder.assign({name: value for name, value in assign.items() if value.numel()})
     return builder.phase()
 
 
 def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
     """Propagate what is known of x, and of inputs and noise, to the next sample."""
-    builder = PhaseBuilder(symbols)
+    builder, delays = PhaseBuilder(symbols), _delays(spec, plant)
     _demand_rates(builder, spec, plant)
-    plant = bound(builder, plant, "ABQc")
-    actuation = _actuation(spec, plant, symbols["u"])
+    letters = "ABQc"
+    if delays.size:
+        if spec.faults.sensor is not None:
+            _demand_indicators(builder, plant, spec.faults.sensor)
+        plant, letters = _sensed(spec, plant), "ABQcCDd"
+    plant = bound(builder, plant, letters)
+    actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = moved_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
-    posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
+    if delays.size:
+        (plant,) = seen_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
+    plant = delays.moving(plant, symbols)
+    posterior, r = Posterior(*delays.joint(symbols, FILTERED)), 0
     deviation, own, cross = _deviation_ports(plant)
     if deviation in symbols:
         r = symbols[deviation].numel()
@@ -180,12 +251,17 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             cross_covariance=from_rows(symbols[cross], r),
         )
     state, covariance, through = propagate(builder, plant, actuation, posterior)
-    assign = {"predicted_state": state, "predicted_covariance": covariance}
+    if plant.noise_free:
+        covariance = delays.not_negative(covariance)
+    assign = delays.split(state, covariance, PREDICTED)
+    assign |= delays.aged(symbols, predicted=True)
     if with_gain:
-        gain = from_rows(symbols["filtered_gain"], plant.ne)
+        n, whole = delays.n, plant.ne
+        gain = through[:n, :n] @ from_rows(symbols["filtered_gain"], n)
         if r:
-            gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
-        assign["gain"] = by_rows(through @ gain)
+            gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
+        assign["gain"] = by_rows(gain)
+    _lagged(spec, plant).moved(builder, posterior, through)
     with builder.titled("prediction of the next sample"):
         builder.assign(assign, [finite(state, covariance)])
     return builder.phase()
@@ -204,13 +280,3 @@ def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
 def constant(values: NDArray[np.floating]) -> ca.SX:
     """A constant matrix whose zeros are structural."""
     return sparse(ca.SX(ca.DM(values)))
-
-
-def by_rows(matrix: ca.SX) -> ca.SX:
-    """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
-    return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
-
-
-def from_rows(values: ca.SX, rows: int) -> ca.SX:
-    """The matrix with this many rows whose entries are given row by row."""
-    return ca.reshape(values, values.numel() // rows, rows).T

@@ -29,7 +29,7 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.jump import STATIONARY, is_settled
-from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
+from fkgen.estimators.lmmse.kalman import innovation_results
 from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
@@ -38,7 +38,16 @@ from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
-from fkgen.symbolic.linalg import congruence, is_zero, outer_lower, pack, sparse, unpack
+from fkgen.symbolic.linalg import (
+    by_rows,
+    congruence,
+    from_rows,
+    is_zero,
+    outer_lower,
+    pack,
+    sparse,
+    unpack,
+)
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,

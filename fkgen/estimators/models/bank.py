@@ -28,7 +28,6 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
-from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.merge import Chart, Gaussian, combined_innovation, mixture
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
@@ -36,7 +35,15 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
-from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
+from fkgen.symbolic.linalg import (
+    by_rows,
+    congruence,
+    from_rows,
+    pack,
+    split_estimates,
+    unpack,
+    weighted_sum,
+)
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,

@@ -27,13 +27,20 @@ from fkgen.estimators.gaussian.sequential import (
     Conditioned,
     condition,
 )
-from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows
+from fkgen.estimators.lmmse.kalman import constant
 from fkgen.estimators.windows import window
 from fkgen.faults.partial_state import measured_states, similarity, typical_deviation
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
-from fkgen.symbolic.linalg import congruence, pack, sparse, unpack
+from fkgen.symbolic.linalg import (
+    by_rows,
+    congruence,
+    from_rows,
+    pack,
+    sparse,
+    unpack,
+)
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import carried
 from fkgen.symbolic.recursion import Phase, Recursion

@@ -8,8 +8,9 @@ import numpy as np
 
 from fkgen.faults.chain import Mode
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, of_matrices, ports
-from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.batch import Delays, batch_lmmse, joint_distribution
 from fkgen.oracle.exact.gate import batch_gated
+from fkgen.oracle.exact.hindsight import given_so_far
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import informed
@@ -55,6 +56,17 @@ def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None
     return replace(system, P0=record.P0)
 
 
+def delays_of(spec: Spec, record: Record) -> Delays | None:
+    """By how many samples rows are late, (T, p); None if none can be."""
+    late = {i: signal.delay for i, signal in enumerate(spec.model.outputs) if signal.max_delay}
+    if not late:
+        return None
+    delays = np.zeros(record.y.shape, np.intp)
+    for i, name in late.items():
+        delays[:, i] = record.parameters[name]
+    return delays
+
+
 def digits_at_stake(spec: Spec, record: Record) -> float:
     """`EXACT`, or what the ratio of state to measurement noise leaves of double precision."""
     if has_exact_rows(spec):
@@ -86,10 +98,11 @@ def _is_constant(spec: Spec) -> bool:
 
 def _estimates(spec: Spec, record: Record) -> Ports:
     system, gate = system_of(spec, record), spec.filter.option("gate", None)
-    result = batch_lmmse(system, record.y, record.u)
+    delays = delays_of(spec, record)
+    result = batch_lmmse(system, record.y, record.u, delays)
     if gate is not None:
         together = spec.filter.options.gate_by == "sample"
-        result = batch_gated(system, record.y, record.u, gate, together=together)
+        result = batch_gated(system, record.y, record.u, gate, together=together, delays=delays)
     return ports(result, *undecided(spec))
 
 
@@ -98,6 +111,15 @@ def used(spec: Spec, record: Record) -> Array:
     if spec.filter.option("gate", None) is None:
         return record.y
     return np.where(_estimates(spec, record)["rejected"] > 0.0, np.nan, record.y)
+
+
+def _lagged(spec: Spec, record: Record) -> Ports | None:
+    lag = spec.filter.option("lag", None)
+    if lag is None:
+        return None
+    joint = joint_distribution(system_of(spec, record), record.u)
+    found = given_so_far(joint, used(spec, record), lag)
+    return dict(zip(("lagged_state", "lagged_covariance"), found, strict=True))
 
 
 def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
@@ -138,6 +160,9 @@ def _riccati_tolerance(spec: Spec, record: Record) -> float:
 
 def _optimal_gain(spec: Spec, record: Record) -> Ports | None:
     """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
+    delays = delays_of(spec, record)
+    if delays is not None and delays.any():
+        return None
     system, measured = system_of(spec, record), used(spec, record)
     batch = batch_lmmse(system, measured, record.u)
     P = np.concatenate([record.P0[np.newaxis], batch.predicted_covariance[:-1]])
@@ -197,6 +222,12 @@ BATCH = ClosedForm(
     source="linear minimum mean square error estimate from second moments",
     tolerance=digits_at_stake,
     expected=of_matrices(_batch),
+)
+LAGGED = ClosedForm(
+    claim="estimates of past samples are those of the joint distribution",
+    source="linear minimum mean square error estimate from second moments",
+    tolerance=digits_at_stake,
+    expected=of_matrices(_lagged),
 )
 RICCATI = ClosedForm(
     claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",

@@ -6,11 +6,11 @@ No recursion takes place: every estimate conditions anew on all measurements up 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fkgen.oracle.exact.gaussian import (
     RANK_TOLERANCE,
@@ -21,6 +21,9 @@ from fkgen.oracle.exact.gaussian import (
     whiten,
 )
 from fkgen.oracle.plants.actuator import LinearSystem
+
+#: By how many samples rows are late, (T, p).
+Delays: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,12 +97,45 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
     )
 
 
-def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
+def late(joint: Joint, system: LinearSystem, y: Array, delays: Delays) -> tuple[Joint, Array]:
+    """Rows that see the sample of ``delays`` (T, p) samples ago, with the noise of their own one.
+
+    And y, in which rows from before sample 0 are missing. Missing rows see their own sample.
+    """
+    T, p = y.shape
+    n, q = system.nx, system.nu
+    own = np.zeros_like(joint.measurement_root)  # what is noise of the sample itself
+    for k in range(T):
+        begin = n + k * (q + n + p) + q
+        noise = slice(begin, begin + n + p)
+        own[k, :, noise] = joint.measurement_root[k, :, noise]
+    signal, at = joint.measurement_root - own, np.arange(T)[:, None] - delays
+    unseen = (at < 0) | np.isnan(y)
+    there, columns = np.where(unseen, np.arange(T)[:, None], at), np.arange(p)
+    found = replace(
+        joint,
+        measurement_mean=joint.measurement_mean[there, columns],
+        measurement_root=signal[there, columns] + own,
+    )
+    return found, np.where(at < 0, np.nan, y)
+
+
+def batch_lmmse(
+    system: LinearSystem, y: Array, u: Array | None, delays: Delays | None = None
+) -> BatchResult:
     """Estimate each state by projecting it on all measurements up to its time; y (T, p), u (T, q).
 
     A singular covariance is projected on its range, the rank decided on rows of unit variance.
     """
-    return BatchResult.of(project(joint_distribution(system, u), y))
+    return BatchResult.of(project(*measured(system, y, u, delays)))
+
+
+def measured(
+    system: LinearSystem, y: Array, u: Array | None, delays: Delays | None
+) -> tuple[Joint, Array]:
+    """The distribution of a record, some rows of which may be late, and what counts of it."""
+    joint = joint_distribution(system, u)
+    return (joint, y) if delays is None else late(joint, system, y, delays)
 
 
 #: Ports of one sample, and an index of the entries of the record that are not used any longer.
@@ -113,7 +149,7 @@ def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str
     `judge(k, innovation, covariance)` adds ports, and says what is not used any longer.
     """
     used, rows = y.copy(), []
-    past, z = _past(joint, y[:0])
+    past, z = past_of(joint, y[:0])
     for k, now in enumerate(y):
         root = past.unexplained(joint.measurement_root[k])
         residual = now - (joint.measurement_mean[k] + joint.measurement_root[k] @ z)
@@ -127,7 +163,7 @@ def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str
             judged, forgotten = judge(k, residual, S)
             row |= judged
             used[forgotten] = np.nan
-        past, z = _past(joint, used[: k + 1])
+        past, z = past_of(joint, used[: k + 1])
         for at, when in ((k, "filtered"), (k + 1, "predicted")):
             root = past.unexplained(joint.state_root[at])
             row[f"{when}_state"] = joint.state_mean[at] + joint.state_root[at] @ z
@@ -136,7 +172,7 @@ def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str
     return rows
 
 
-def _past(joint: Joint, y: Array) -> tuple[Whitening, Array]:
+def past_of(joint: Joint, y: Array) -> tuple[Whitening, Array]:
     """What the finite measurements so far reveal of z, and the mean of z given them, (d,)."""
     finite, samples = np.isfinite(y), len(y)
     residual = (y - joint.measurement_mean[:samples])[finite]

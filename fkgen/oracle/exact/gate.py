@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.oracle.exact.batch import BatchResult, Judged, joint_distribution, project
+from fkgen.oracle.exact.batch import BatchResult, Delays, Judged, measured, project
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.mkf import scaled_pseudo_inverse
@@ -28,7 +28,13 @@ class GatedResult(BatchResult):
 
 
 def batch_gated(
-    system: LinearSystem, y: Array, u: Array | None, probability: float, *, together: bool
+    system: LinearSystem,
+    y: Array,
+    u: Array | None,
+    probability: float,
+    *,
+    together: bool,
+    delays: Delays | None = None,
 ) -> GatedResult:
     """Project on what passes: rows one after the other, or all finite ones of a sample together.
 
@@ -45,7 +51,7 @@ def batch_gated(
         }
         return values, (k, rejected)
 
-    return GatedResult.of(project(joint_distribution(system, u), y, judge))
+    return GatedResult.of(project(*measured(system, y, u, delays), judge))
 
 
 def outliers(innovation: Array, S: Array, probability: float, *, together: bool) -> Flags:

@@ -7,7 +7,7 @@ import io
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
@@ -120,6 +120,17 @@ def to_csv(
 
     Numbers have the digits that give the same number back; a missing one is an empty field.
     """
+    return _lines(table, columns_of(layout, run, selection), run.status, header=header)
+
+
+def _lines(
+    table: Table,
+    values: Iterable[tuple[str, Array]],
+    status: NDArray[np.int32],
+    *,
+    header: bool = True,
+) -> bytes:
+    """Lines of times, columns and status."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
     from pyarrow import csv as arrow  # noqa: PLC0415
 
@@ -129,8 +140,8 @@ def to_csv(
         texts = pa.array(table.time_text, pa.string())
         quoted = any(set(text) & set(',"\n') for text in _some(texts))
         columns.append((table.time_name, texts))
-    columns += [(name, as_arrow(v)) for name, v in columns_of(layout, run, selection)]
-    columns.append((_STATUS, as_arrow(run.status)))
+    columns += [(name, as_arrow(v)) for name, v in values]
+    columns.append((_STATUS, as_arrow(status)))
     names, arrays = zip(*columns, strict=True)
     out = io.BytesIO(csv_text(names, []).encode() if header else b"")
     out.seek(0, io.SEEK_END)
@@ -203,6 +214,38 @@ def run(
     written = [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told([*record.notes, *written], list(record.warnings), [], summary.text(table.file))
     told.refused.extend(refusals.sentences(table))
+    return told
+
+
+def smooth(spec: Spec, reading: Reading, *, output: Path | None, force: bool) -> Told:
+    """Read all of a record, filter and smooth it, and write states with standard deviations."""
+    refuse_targets(output, force=force)
+    record = Record(reading, spec)
+    built = build(spec)
+    summary, refusals = Summary(spec, built), _Refusals(built.name)
+    filtered, tables = built.pieces(summary.ports), list[Table]()
+    for table in record.pieces():
+        found = filtered.filter(table.y, table.u if built.layout.inputs else None, table.params)
+        summary.add(table, found)
+        refusals.add(table, found, filtered)
+        tables.append(table)
+    whole = joined(tables)
+    smoothed = built.smooth(whole.y, whole.u if built.layout.inputs else None, whole.params)
+    variances = np.diagonal(smoothed.covariance, axis1=-2, axis2=-1)
+    named = {"state": (built.layout.states, smoothed.state)}
+    named["sd"] = built.layout.errors, np.sqrt(np.maximum(variances, 0.0))
+    columns = (
+        (f"smoothed_{of}.{name}", values[:, i])
+        for of, (names, values) in named.items()
+        for i, name in enumerate(names)
+    )
+    with _target(output, force=force) as file:
+        file.write(_lines(whole, columns, smoothed.status))
+    notes = [*record.notes, *(["approximate: the plant is linearised"] * smoothed.approximate)]
+    if output is not None:
+        notes.append(f"{output}: written, {several(summary.samples, 'sample')}")
+    told = Told(notes, list(record.warnings), [], summary.text(whole.file))
+    told.refused.extend(refusals.sentences(whole))
     return told
 
 
