@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from fkgen.study.effects.detectability import Detectability, detectability
     from fkgen.study.effects.effect import FaultEffect
     from fkgen.study.effects.fault_effect import fault_effect
+    from fkgen.study.fitting.fit import Fit, fit
+    from fkgen.study.fitting.profile import Profile
     from fkgen.symbolic.validated import Claim, Validated
     from fkgen.trials.simulation import Simulation, simulate
 
@@ -49,6 +51,8 @@ _HOMES = {
     "fkgen.study.effects.fault_effect": ("fault_effect",),
     "fkgen.study.effects.effect": ("FaultEffect",),
     "fkgen.study.effects.detectability": ("detectability", "Detectability"),
+    "fkgen.study.fitting.fit": ("fit", "Fit"),
+    "fkgen.study.fitting.profile": ("Profile",),
     "fkgen.symbolic.validated": ("Claim", "Validated"),
     "fkgen.backend.source": ("Source",),
     "fkgen.runtime.compiled": ("CompiledFilter",),
@@ -56,11 +60,11 @@ _HOMES = {
 }
 
 __all__ = ["Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect", "Finding"]
-__all__ += ["Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Validated"]
+__all__ += ["Fit", "Profile", "Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Validated"]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
-__all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "generate"]
-__all__ += ["load", "profiles", "simulate", "validate"]
+__all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "fit"]
+__all__ += ["generate", "load", "profiles", "simulate", "validate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -46,7 +46,10 @@ FAMILY = Family(
     build=build,
     proof=proof,
     traits=Traits(
-        linear=True, nonlinear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))
+        linear=True,
+        exact=True,
+        nonlinear=True,
+        told=(Parameter("gamma", 1.0), Parameter("delta", 1.0)),
     ),
     options=GateOptions,
     accepts={"sensor": partial(read_sensor_faults, law="optional")},

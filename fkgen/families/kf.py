@@ -70,7 +70,7 @@ FAMILY = Family(
     title="Kalman filter, no faults: missing samples, time-varying models",
     build=build,
     proof=proved_by("gaussian", "BATCH", "RICCATI", "CONSTANT_GAIN"),
-    traits=Traits(linear=True, correlated=True),
+    traits=Traits(linear=True, exact=True, correlated=True),
     options=KalmanOptions,
     check=check,
     starter="starter_kf.toml",
