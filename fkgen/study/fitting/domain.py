@@ -98,7 +98,7 @@ def axes_of(spec: Spec, estimate: str | Sequence[str], inside: Inside) -> tuple[
     """
     found = list[Parameter]()
     stated = {each.name: each for each in spec.stated_parameters}
-    known = [*dict.fromkeys(each.of or each.name for each in stated.values()), *stated]
+    known = list(dict.fromkeys([*(each.of or each.name for each in stated.values()), *stated]))
     given = names_of("estimate", estimate, "names of parameters, such as ('q', 'r')")
     if not given:
         raise DataError("estimate", given="no names", expected="names of parameters")

@@ -80,7 +80,7 @@ class Curve:
             ]
             z = np.array([a.coordinate(v) for a, v in zip(axes, inside, strict=True)])
             steps = self._steps(surface.free)
-        point = surface.climb(z, steps)
+        point = surface.climb_by(z, steps, self.maximum.point.noise)
         self._latest[kind] = point
         return point.value
 
@@ -108,15 +108,18 @@ class Curve:
         place, value_of, step = self._scale(sign, allowed)
         self._latest.clear()
 
-        def over(t: float) -> float:
-            found = self.at(value_of(t))
-            return self.maximum.point.value - found - allowed if math.isfinite(found) else 1e300
+        known = {place: -allowed}  # searches from other points may end a little lower
 
-        near, far = place, place + step
+        def over(t: float) -> float:
+            if t not in known:
+                known[t] = min(self.maximum.point.value - self.at(value_of(t)) - allowed, 1e300)
+            return known[t]
+
+        near, far, most = place, place + step, _FARTHEST * max(1.0, abs(step))
         while over(far) < 0.0:
-            if value_of(far) == bound or abs(far - place) > max(_FARTHEST, 1e9 * abs(step)):
+            if value_of(far) == bound or abs(far - place) >= most:
                 return bound
-            near, far = far, far + 2.0 * (far - near)
+            near, far = far, place + math.copysign(min(3.0 * abs(far - place), most), step)
         end = brentq(over, near, far, xtol=_TOLERANCE * abs(far - place), rtol=1e-12)
         return float(value_of(end))
 

@@ -7,6 +7,7 @@ take its beginning, and the best of what they find goes on over all of it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,13 +21,14 @@ from fkgen.study.fitting.likelihood import Likelihood
 Array = NDArray[np.float64]
 
 STEP = 1e-3  # of a difference, before anything is known
-SHARE = 0.01  # of a standard error: steps of differences afterwards
-WIDEST = 0.01  # step where nothing is known of a parameter
+SHARE = 0.003  # of a standard error: steps of differences afterwards
+WIDEST = 0.003  # step where nothing is known of a parameter
 DRAWN, STARTS = 48, 2  # points around the defaults, and how many of them are begun at
 SHORT = 5000  # samples of the first searches
-GAIN = 1e-10  # in the log-likelihood, of one more Newton step, that ends a search
+GAIN = 1e-9  # in the log-likelihood, of one more Newton step, that ends a search
 FLAT = 1e-6  # eigenvalue of the scaled information that counts as none
-DOUBT = 40.0  # times the rounding of a value is that of a second difference, at most
+COARSE = 3e3  # times the rounding of a value is the square of the share that it asks for
+DOUBT = 10.0  # times the rounding of a value is that of a second difference, at most
 ROUNDS = 100
 _SPANS = (0.5, 9.2, 4.0)  # around the defaults, with none, one or two bounds
 _INWARDS = (1.0, 3.0, 6.0, 12.0, 24.0, 48.0)  # coordinates from a bound at which it has to be lower
@@ -58,7 +60,7 @@ class Point:
         scaled = self.information / size[:, None] / size
         scaled[blind] = scaled[:, blind] = 0.0
         values, directions = np.linalg.eigh(scaled)
-        flat = np.abs(values) < max(FLAT, DOUBT * self.noise / SHARE**2)
+        flat = np.abs(values) < max(FLAT, DOUBT * min(self.noise / SHARE**2, 1.0 / COARSE))
         return values, directions / size[:, None], flat
 
     @property
@@ -75,12 +77,12 @@ class Point:
             and (np.abs(slopes[flat]) < 1e-3).all()
         )
 
-    @property
-    def fitting_steps(self) -> Array:
-        """Steps that are a share of standard errors."""
-        known = np.maximum(np.diag(self.information), (SHARE / WIDEST) ** 2)
-        linear = SHARE / np.sqrt(known)
-        return np.minimum(linear, WIDEST * np.maximum(1.0, np.abs(self.z)))
+    def fitting_steps(self, noise: float = 0.0) -> Array:
+        """Steps that are a share of standard errors: of a larger one where rounding is coarse."""
+        share = max(SHARE, math.sqrt(COARSE * noise))
+        known = np.maximum(np.diag(self.information), (share / max(WIDEST, share)) ** 2)
+        widest = max(WIDEST, share) * np.maximum(1.0, np.abs(self.z))
+        return np.asarray(np.minimum(share / np.sqrt(known), widest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,16 +135,26 @@ class Surface:
         ways = [*unit, *(unit[i] + unit[j] for i, j in pairs)]
         return z + np.array([np.zeros(f), *(s * way for way in ways for s in (1.0, -1.0))]), pairs
 
-    def point(self, z: Array, steps: Array) -> Point:
+    def noise(self, z: Array, steps: Array) -> float:
+        """How far rounding moves values: what a cubic leaves of values close to each other."""
+        at = np.linspace(-1.0, 1.0, 9)
+        near = self.values(z + 0.05 * at[:, None] * steps)
+        bound = np.finfo(float).eps * abs(float(near[0]))
+        if not np.isfinite(near).all():
+            return bound
+        rest = near - near[4]
+        rest -= np.polynomial.Polynomial.fit(at, rest, 3)(at)
+        return max(bound, 3.0 * float(np.sqrt(np.mean(rest**2))))
+
+    def point(self, z: Array, steps: Array, noise: float = 0.0) -> Point:
         """The value and derivatives, by central differences."""
         f = len(z)
         around, pairs = self.neighbours(z, steps)
         found = self.values(around)
         self.tick()
-        middle, noise = float(found[0]), np.finfo(float).eps * self.likelihood.length
+        middle = float(found[0])
         if not np.isfinite(found).all():
             return Point(z, -np.inf, np.zeros(f), np.eye(f), steps, noise)
-        noise += np.finfo(float).eps * abs(middle)
         plus, minus = found[1::2], found[2::2]
         bend = plus + minus - 2.0 * middle
         information = np.diag(-bend[:f] / steps**2)
@@ -158,22 +170,25 @@ class Surface:
         terms = self.likelihood.samples(self.theta(around[1 : 2 * f + 1]))
         return np.asarray((terms[::2] - terms[1::2]).T / (2.0 * point.steps))
 
-    def climb(self, z: Array, steps: Array | None = None) -> Point:
+    def climb(self, z: Array) -> Point:
         """The maximum that a trust-region search finds from z, with steps that fit it."""
-        if steps is not None:
-            return self._climb(z, steps)
-        point = self._climb(z, np.full(len(z), STEP))
-        return self._climb(point.z, point.fitting_steps) if point.finite else point
+        first = np.full(len(z), STEP)
+        point = self.climb_by(z, first, self.noise(z, first))
+        if not point.finite:
+            return point
+        noise = self.noise(point.z, point.fitting_steps())
+        return self.climb_by(point.z, point.fitting_steps(noise), noise)
 
-    def _climb(self, z: Array, steps: Array) -> Point:
+    def climb_by(self, z: Array, steps: Array, noise: float) -> Point:
+        """The same with these steps, where values are as coarse."""
         from scipy.optimize import minimize  # noqa: PLC0415 - slow to import
 
-        known: dict[bytes, Point] = {}
+        known = dict[bytes, Point]()
 
         def at(z: Array) -> Point:
             key = z.tobytes()
             if key not in known:
-                known[key] = self.point(np.array(z), steps)
+                known[key] = self.point(np.array(z), steps, noise)
             return known[key]
 
         def stop(intermediate_result: Any) -> None:
@@ -190,7 +205,7 @@ class Surface:
             hess=lambda z: at(z).information,
             method="trust-exact",
             callback=stop,
-            options={"maxiter": ROUNDS, "gtol": first.noise / steps.min(), "max_trust_radius": 64.0},
+            options={"maxiter": ROUNDS, "gtol": noise / steps.min(), "max_trust_radius": 64.0},
         )
         return at(found.x)
 
@@ -287,7 +302,7 @@ def _seated(surface: Surface, point: Point, allowed: Callable[[Array], bool]) ->
             return Maximum(surface, point)
         keep = [at for at, j in enumerate(surface.free) if j not in seats]
         surface = replace(surface, held={**surface.held, **seats})
-        point = surface.climb(point.z[keep], point.steps[keep])
+        point = surface.climb_by(point.z[keep], point.steps[keep], point.noise)
 
 
 def _sits(
