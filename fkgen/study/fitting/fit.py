@@ -73,6 +73,7 @@ class Fit:
     message: str
     spec: Spec
     before: Spec = field(repr=False)
+    initial_log_likelihood: float = field(repr=False)
     maximum: Maximum = field(repr=False)
     inflation: Array = field(repr=False)  # (k,): variances over those of the inverse information
 
@@ -303,6 +304,7 @@ def _fit_of(spec: Spec, maximum: Maximum) -> Fit:
         message="; ".join(sentences) or "converged",
         spec=found,
         before=spec,
+        initial_log_likelihood=float(surface.likelihood([[a.default for a in surface.axes]])[0]),
         maximum=maximum,
         inflation=np.where(np.isfinite(inflation), inflation, 1.0),
     )
