@@ -60,7 +60,17 @@ _HOMES = {
 }
 
 __all__ = ["Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect", "Finding"]
-__all__ += ["Fit", "Profile", "Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Validated"]
+__all__ += [
+    "Fit",
+    "Profile",
+    "Report",
+    "Run",
+    "Simulation",
+    "Snapshot",
+    "Source",
+    "Spec",
+    "Validated",
+]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
 __all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "fit"]

@@ -105,7 +105,8 @@ def _reading(command: Any) -> Any:
 
         names = ("time", "delimiter", "decimal", "encoding", "skip_rows", "missing")
         written: Any = {name: options.pop(name) for name in names}
-        written["columns"], given = options.pop("column"), None
+        written["columns"] = options.pop("column")
+        given: Reading | tuple[Reading, ...] | None = None
         if isinstance(record, tuple):
             given = tuple(checked(each, **written) for each in record)
         elif record is not None:

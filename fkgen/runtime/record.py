@@ -173,7 +173,7 @@ def values_of(
     *,
     records: int | None = None,
 ) -> list[Array]:
-    """One array per parameter: (1,), (samples,), or (records, samples) or (records, 1) of several."""
+    """One array per parameter: (1,), (samples,), or of several records (M, samples) or (M, 1)."""
     values = _mapping(given, [name for name, _ in named])
     result = []
     for name, default in named:

@@ -1,4 +1,4 @@
-"""What ``fkgen fit`` does: records in, a table, a picture and a spec file with the estimates out."""
+"""What ``fkgen fit`` does: records in; a table, a picture and a spec file with estimates out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 from fkgen.errors import DataError
 from fkgen.problem import Spec
+from fkgen.study.fitting.domain import estimated
 from fkgen.study.fitting.fit import Fit, fit
 from fkgen.study.records.files import refuse_targets, write_whole
 from fkgen.study.records.reading import Reading
@@ -45,8 +46,8 @@ def fitted(
     """Fit the parameters to the records; write the spec file and the picture that are asked for."""
     refuse_targets(output, plot, force=force)
     names = [name.strip() for name in estimate.split(",") if name.strip()]
-    entries = [each.name for each in spec.parameters if {each.name, each.of} & {*names}]
-    tables = [read_table(reading, spec, entries) for reading in readings]
+    searched = [each.name for each in estimated(spec, names)]
+    tables = [read_table(reading, spec, searched) for reading in readings]
     for table in tables:
         say("note", table.notes)
         say("warning", table.warnings)
@@ -81,12 +82,9 @@ def told(found: Fit) -> Fitted:
         ]
     ]
     gained = found.log_likelihood - found.initial_log_likelihood
-    lines = (
-        f"log-likelihood {found.log_likelihood:.10g}, {gained:.6g} above that of the defaults;"
-        f" AIC {found.aic:.8g}, BIC {found.bic:.8g}",
-        found.message,
-    )
-    return Fitted(found, HEAD, rows, lines)
+    text = f"log-likelihood {found.log_likelihood:.10g}, {gained:.6g} above that of the defaults"
+    text += f"; AIC {found.aic:.8g}, BIC {found.bic:.8g}"
+    return Fitted(found, HEAD, rows, (text, found.message))
 
 
 def renewed(spec: Spec, found: Fit) -> str:

@@ -71,7 +71,7 @@ class Axis:
         return self.low + np.exp(z) if math.isfinite(self.low) else self.high - np.exp(z)
 
     def slope(self, z: float) -> float:
-        """d value / d z."""
+        """Derivative of the value by z."""
         if not self.bounds:
             return self.scale
         if len(self.bounds) == 2:
@@ -88,8 +88,8 @@ class Axis:
         return math.log(value - self.low if math.isfinite(self.low) else self.high - value)
 
 
-def axes_of(spec: Spec, estimate: str | Sequence[str], inside: Inside) -> tuple[Axis, ...]:
-    """The parameters to estimate, with bounds; a vector stands for its entries.
+def estimated(spec: Spec, estimate: str | Sequence[str]) -> tuple[Parameter, ...]:
+    """The parameters to estimate; a vector stands for its entries.
 
     Raises
     ------
@@ -97,22 +97,28 @@ def axes_of(spec: Spec, estimate: str | Sequence[str], inside: Inside) -> tuple[
         If a name is none of a parameter, or of one that occurs nowhere.
     """
     found = list[Parameter]()
-    stated = {each.name: each for each in spec.stated_parameters}
-    known = list(dict.fromkeys([*(each.of or each.name for each in stated.values()), *stated]))
+    stated = spec.stated_parameters
+    known = dict.fromkeys([*(each.of or each.name for each in stated), *(e.name for e in stated)])
     given = names_of("estimate", estimate, "names of parameters, such as ('q', 'r')")
     if not given:
         raise DataError("estimate", given="no names", expected="names of parameters")
     for name in given:
-        entries = [each for each in stated.values() if name in (each.name, each.of)]
+        entries = [each for each in stated if name in (each.name, each.of)]
         if not entries:
-            expected = choice(name, known) if known else "a name of [parameters]; there are none"
+            there = "a name in [parameters], where there is none"
+            expected = choice(name, list(known)) if known else there
             raise DataError("estimate", given=repr(name), expected=expected)
         found += entries
     for each in found:
         if found.count(each) > 1:
             raise DataError("estimate", given=f"{each.name!r} twice", expected="every name once")
         _demand_use(spec, each)
-    return tuple(_axis(each, found, spec.defaults, inside) for each in found)
+    return tuple(found)
+
+
+def axes_of(spec: Spec, parameters: Sequence[Parameter], inside: Inside) -> tuple[Axis, ...]:
+    """Parameters with their bounds."""
+    return tuple(_axis(each, parameters, spec.defaults, inside) for each in parameters)
 
 
 def _demand_use(spec: Spec, parameter: Parameter) -> None:
@@ -163,10 +169,10 @@ def _edge(axis: Axis, sign: float, values: Mapping[str, float], inside: Inside) 
     if found is None:
         return sign * math.inf
     for exact in (0.0, 1.0):  # where variances and probabilities end
-        beyond = exact + sign * 1e-9 * axis.scale
-        if min(near, found) <= exact <= max(near, found) and inside({**values, axis.name: exact}):
-            if not inside({**values, axis.name: beyond}):
-                return exact
+        between = min(near, found) <= exact <= max(near, found)
+        at, beyond = ({**values, axis.name: exact + sign * e * axis.scale} for e in (0.0, 1e-9))
+        if between and inside(at) and not inside(beyond):
+            return exact
     while abs(found - near) > 1e-14 * max(abs(found), abs(near)):
         middle = 0.5 * (near + found)
         if middle in (near, found):
@@ -185,12 +191,11 @@ def covariances_hold(spec: Spec) -> Inside:
     def holds(values: Mapping[str, float]) -> bool:
         try:
             found = [_whole(parts, values) for parts in told]
-            single = [evaluate(each, values) for each in variances]
+            found += [np.array([[evaluate(each, values)]]) for each in variances]
         except ArithmeticError:
             return False
-        if not all(np.isfinite(each).all() for each in (*found, single)):
-            return False
-        return all(each >= 0.0 for each in single) and not any(map(negative_direction, found))
+        finite = all(np.isfinite(each).all() for each in found)
+        return finite and not any(map(negative_direction, found))
 
     return holds
 
@@ -199,7 +204,7 @@ def _covariances(spec: Spec) -> Iterator[tuple[Matrix, ...]]:
     """Q, R and P0 of plants; Q, S and R together where noises are correlated."""
     model = spec.model
     for plant in spec.plants:
-        parts = [(plant.Q,), (plant.R,)]
+        parts: list[tuple[Matrix, ...]] = [(plant.Q,), (plant.R,)]
         if plant is model and not model.S.is_zero:
             parts = [(model.Q, model.S, model.R)]
         yield from (each for each in parts if any(m.names for m in each))
@@ -213,5 +218,3 @@ def _whole(parts: tuple[Matrix, ...], values: Mapping[str, float]) -> Array:
         return found[0]
     Q, S, R = found
     return np.block([[Q, S], [S.T, R]])
-
-

@@ -17,15 +17,8 @@ from fkgen.problem import Spec
 from fkgen.problem.spec import as_spec
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.record import choice, probability
-from fkgen.study.fitting.domain import Axis, axes_of, covariances_hold
-from fkgen.study.fitting.likelihood import (
-    PORT,
-    Likelihood,
-    Records,
-    Start,
-    in_double,
-    records_of,
-)
+from fkgen.study.fitting.domain import Axis, axes_of, covariances_hold, estimated
+from fkgen.study.fitting.likelihood import Likelihood, Records, Start, in_double, records_of
 from fkgen.study.fitting.profile import Curve, Profile
 from fkgen.study.fitting.search import Maximum, maximise
 from fkgen.study.reports.jsonable import json_text
@@ -114,8 +107,8 @@ class Fit:
 
     def to_json(self) -> str:
         """All of it as JSON; ``interval`` is that of 95 %."""
-        keys = ("estimates", "standard_errors", "covariance", "correlation", "log_likelihood")
-        keys += ("aic", "bic", "converged", "message")
+        keys = ["estimates", "standard_errors", "covariance", "correlation", "log_likelihood"]
+        keys += ["aic", "bic", "converged", "message"]
         facts = {key: getattr(self, key) for key in keys}
         return json_text({**facts, "interval": self.interval(), "spec": self.spec.to_dict()})
 
@@ -124,7 +117,7 @@ class Fit:
         return f"<Fit of {self.spec.name}: {told}; {self.message}>"
 
 
-def fit(
+def fit(  # noqa: PLR0917 - as `CompiledFilter.run`, with two more
     spec: Spec,
     y: Any,
     u: Any = None,
@@ -170,29 +163,24 @@ def fit(
     """
     given = as_spec(spec)
     _refuse_gate(given)
-    built = build(in_double(given))
-    if PORT not in built.ports:
-        expected = "a family with a likelihood"
-        raise DataError("spec", given=f"the family {given.filter.family}", expected=expected)
-    records = records_of(built, y, u, params, start, _entries(given, estimate))
-    axes = axes_of(given, estimate, _inside(given, built, records))
-    likelihood = Likelihood(built, [axis.name for axis in axes], records)
-    _demand_rows(likelihood)
-    first = [axis.default for axis in axes]
-    if why := likelihood.refusal(first):
-        raise DataError("y", given=f"{why} ({_told(axes, first)})", expected="a finite likelihood")
+    likelihood, axes = _prepared(given, (y, u, params), estimate, start)
     with progressing("fit", EXPECTED, shown=progress) as advance:
         allowed = _allowed(given, likelihood.names)
-        maximum = maximise(likelihood, axes, allowed, lambda: advance(1))
-    if not maximum.point.finite:
-        where = f"a likelihood that is not finite near {_told(axes, first)}"
-        raise DataError("y", given=where, expected="defaults around which the filter runs")
-    return _fit_of(given, maximum)
+        return _fit_of(given, maximise(likelihood, axes, allowed, lambda: advance(1)))
 
 
-def _entries(spec: Spec, estimate: str | Sequence[str]) -> tuple[str, ...]:
-    wanted = (estimate,) if isinstance(estimate, str) else tuple(estimate)
-    return tuple(p.name for p in spec.parameters if p.name in wanted or p.of in wanted)
+def _prepared(
+    spec: Spec, data: tuple[Any, Any, Any], estimate: str | Sequence[str], start: Start
+) -> tuple[Likelihood, tuple[Axis, ...]]:
+    """The likelihood of records, and the parameters that are searched, all of it checked."""
+    parameters = estimated(spec, estimate)
+    names = [each.name for each in parameters]
+    built = build(in_double(spec))
+    records = records_of(built, data, start, names)
+    likelihood = Likelihood(built, names, records)
+    axes = axes_of(spec, parameters, _inside(spec, built, records))
+    _demand(likelihood, axes)
+    return likelihood, axes
 
 
 def _refuse_gate(spec: Spec) -> None:
@@ -207,11 +195,15 @@ def _refuse_gate(spec: Spec) -> None:
         )
 
 
-def _demand_rows(likelihood: Likelihood) -> None:
+def _demand(likelihood: Likelihood, axes: Sequence[Axis]) -> None:
+    """Refuse records that are too short, and those that the defaults cannot take."""
     rows, k = likelihood.rows, len(likelihood.names)
     if rows <= k:
         expected = f"more than {k}, as there are parameters to estimate"
         raise DataError("y", given=f"{rows} finite rows", expected=expected)
+    first = [axis.default for axis in axes]
+    if why := likelihood.refusal(first):
+        raise DataError("y", given=f"{why} ({_told(axes, first)})", expected="a finite likelihood")
 
 
 def _told(axes: Sequence[Axis], theta: ArrayLike) -> str:
@@ -275,6 +267,10 @@ def _fit_of(spec: Spec, maximum: Maximum) -> Fit:
     """What is known at a maximum."""
     surface, point = maximum.surface, maximum.point
     names, k = surface.likelihood.names, len(surface.axes)
+    if not point.finite:
+        where = _told(surface.axes, [axis.default for axis in surface.axes])
+        given = f"a likelihood that is not finite near {where}"
+        raise DataError("y", given=given, expected="defaults around which the filter runs")
     blind = unidentified(maximum)
     inverse, covariance = _covariances(spec, maximum, blind)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -17,7 +17,7 @@ from fkgen.runtime.results import Snapshot
 from fkgen.runtime.values import headings, place
 from fkgen.symbolic.interface import Status
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Start = Snapshot | Mapping[str, ArrayLike] | None
 
 PORT = "log_likelihood"
@@ -179,9 +179,9 @@ class Likelihood:
 
 
 def records_of(
-    built: CompiledFilter, y: Any, u: Any, params: Any, start: Start, estimated: Sequence[str]
+    built: CompiledFilter, given: tuple[Any, Any, Any], start: Start, estimated: Sequence[str]
 ) -> list[Records]:
-    """Records as they were given, those of one length together.
+    """Records as they were ``given`` by y, u and params, those of one length together.
 
     Raises
     ------
@@ -190,14 +190,14 @@ def records_of(
     """
     if start is not None and not isinstance(start, Snapshot):
         of_type("start", start, Mapping, "a Snapshot or a mapping with 'x0' and 'P0'")
-    taken = [_checked(built, *each, estimated) for each in _parted(built, y, u, params)]
+    taken = [_named(built, name, each, estimated) for name, each in _parted(built, *given)]
     several = len(taken) > 1
     found = []
     for length in dict.fromkeys(len(each.y[0]) for each in taken):
         alike = [m for m, each in enumerate(taken) if len(each.y[0]) == length]
         y_of, u_of = (np.concatenate([getattr(taken[m], n) for m in alike]) for n in ("y", "u"))
-        given = {name: [taken[m].params[name] for m in alike] for name in taken[0].params}
-        joined = {name: _stacked(values, length) for name, values in given.items()}
+        told = {name: [taken[m].params[name] for m in alike] for name in taken[0].params}
+        joined = {name: _stacked(values, length) for name, values in told.items()}
         own: Start = start
         if several and isinstance(start, Mapping):
             own = {key: _chosen(key, value, alike, len(taken)) for key, value in start.items()}
@@ -222,11 +222,13 @@ def _chosen(key: str, value: ArrayLike, alike: Sequence[int], count: int) -> Arr
     return np.ascontiguousarray(array[list(alike)])
 
 
-def _parted(built: CompiledFilter, y: Any, u: Any, params: Any) -> Iterator[tuple[str, Any, Any, Any]]:
-    """Name, y, u and parameters of each record."""
+def _parted(
+    built: CompiledFilter, y: Any, u: Any, params: Any
+) -> Iterator[tuple[str, tuple[Any, Any, Any]]]:
+    """Name of each record, and its y, u and parameters."""
     parts = _several(y, len(built.layout.outputs))
     if parts is None:
-        yield "", y, u, params
+        yield "", (y, u, params)
         return
     inputs = None if u is None else _several(u, len(built.layout.inputs))
     if inputs is not None and len(inputs) != len(parts):
@@ -236,7 +238,7 @@ def _parted(built: CompiledFilter, y: Any, u: Any, params: Any) -> Iterator[tupl
         raise DataError("params", given=f"{len(told)} records", expected=f"{len(parts)}, as y has")
     for m, part in enumerate(parts):
         own = told[m] if told is not None else _row(params, m, len(parts))
-        yield f"[{m}]", part, u if inputs is None else inputs[m], own
+        yield f"record {m}", (part, u if inputs is None else inputs[m], own)
 
 
 def _several(value: Any, width: int) -> Sequence[Any] | None:
@@ -265,31 +267,37 @@ def _row(params: Any, m: int, count: int) -> Any:
     }
 
 
-def _checked(
-    built: CompiledFilter, name: str, y: Any, u: Any, params: Any, estimated: Sequence[str]
+def _named(
+    built: CompiledFilter, name: str, given: tuple[Any, Any, Any], estimated: Sequence[str]
 ) -> Records:
-    """One record, complete and finite but for missing rows of y."""
-    layout = built.layout
+    """One record; errors say which."""
     try:
-        measured = record.measurements(layout, y)
-        driven = record.inputs(layout, u, len(measured))
-        if isinstance(params, Mapping):
-            for each in estimated:
-                if each in params:
-                    expected = "a value of it, or its name in estimate, but not both"
-                    raise DataError(f"params.{each}", given="a value", expected=expected)
-        given = record.values_of(layout.parameters, params, len(measured), layout.dtype)
-        told = dict(zip((each for each, _ in layout.parameters), given, strict=True))
-        _refuse_infinite("y", measured, layout.outputs, np.isinf(measured))
-        _refuse_infinite("u", driven, layout.inputs, ~np.isfinite(driven))
-        for each, values in told.items():
-            _refuse_infinite(f"params.{each}", values, (), ~np.isfinite(values))
+        return _checked(built, given, estimated)
     except DataError as error:
         if not name:
             raise
-        what = f"record {name[1:-1]}: {error.what}"
+        what = f"{name}: {error.what}"
         raise DataError(what, given=error.given, expected=error.expected) from None
-    rest = {each: values[np.newaxis] for each, values in told.items() if each not in estimated}
+
+
+def _checked(
+    built: CompiledFilter, given: tuple[Any, Any, Any], estimated: Sequence[str]
+) -> Records:
+    """One record, complete and finite but for missing rows of y."""
+    (y, u, params), layout = given, built.layout
+    measured = record.measurements(layout, y)
+    driven = record.inputs(layout, u, len(measured))
+    for each in estimated if isinstance(params, Mapping) else ():
+        if each in params:
+            expected = "a value of it, or its name in estimate, but not both"
+            raise DataError(f"params.{each}", given="a value", expected=expected)
+    values = record.values_of(layout.parameters, params, len(measured), layout.dtype)
+    told = dict(zip((each for each, _ in layout.parameters), values, strict=True))
+    _refuse_infinite("y", measured, layout.outputs, np.isinf(measured))
+    _refuse_infinite("u", driven, layout.inputs, ~np.isfinite(driven))
+    for each, array in told.items():
+        _refuse_infinite(f"params.{each}", array, (), ~np.isfinite(array))
+    rest = {each: array[np.newaxis] for each, array in told.items() if each not in estimated}
     return Records(measured[np.newaxis], driven[np.newaxis], rest, None)
 
 

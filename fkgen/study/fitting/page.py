@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -69,7 +70,7 @@ def agreement(spec: Spec, records: Sequence[Records]) -> Agreement:
     sums, pairs = np.zeros((p, LAGS + 1)), np.zeros((p, LAGS + 1))
     nis, degrees = [], []
     for some in records:
-        params = {**some.params, **{n: v for n, v in spec.defaults.items() if n not in some.params}}
+        params: dict[str, Any] = {**spec.defaults, **some.params}
         u = some.u if built.layout.inputs else None
         run = built.run_batch(some.y, u, params, keep=keep, start=some.start)
         rows = np.isfinite(some.y)[..., host].sum(axis=2)
@@ -104,7 +105,8 @@ def draw(fit: Fit) -> Figure:
     across = min(_ACROSS, len(shown))
     lines = -(-len(shown) // across)
     figure = Figure(figsize=(9.5, 2.1 * lines + 5.4), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(2.1 * lines + 0.4, 5.0))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(2.1 * lines + 0.4, 5.0))
+    top, bottom = parts
     top.suptitle(_title(fit), fontsize=10, x=0.01, ha="left")
     places = np.atleast_1d(top.subplots(lines, across)).ravel()
     for axis, name in zip(places, shown, strict=False):
@@ -127,7 +129,9 @@ def _title(fit: Fit) -> str:
     gained = fit.log_likelihood - fit.initial_log_likelihood
     rows = fit.maximum.surface.likelihood.rows
     text = f"{fit.spec.name}: {fit.spec.filter.family}, {rows} rows of y"
-    return f"{text}; log-likelihood {fit.log_likelihood:.6g}, {gained:.4g} above that of the defaults"
+    return (
+        f"{text}; log-likelihood {fit.log_likelihood:.6g}, {gained:.4g} above that of the defaults"
+    )
 
 
 def _draw_profile(axis: Axes, fit: Fit, name: str) -> None:
@@ -223,5 +227,3 @@ def _draw_distribution(axis: Axes, before: Agreement, after: Agreement, *, guide
 def _guide(spec: Spec) -> bool:
     """Whether the NIS has no chi-square distribution even where the model is right."""
     return not spec.filter.traits.exact
-
-

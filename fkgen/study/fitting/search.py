@@ -143,7 +143,7 @@ class Surface:
         if not np.isfinite(near).all():
             return bound
         rest = near - near[4]
-        rest -= np.polynomial.Polynomial.fit(at, rest, 3)(at)
+        rest -= np.polyval(np.polyfit(at, rest, 3), at)
         return max(bound, 3.0 * float(np.sqrt(np.mean(rest**2))))
 
     def point(self, z: Array, steps: Array, noise: float = 0.0) -> Point:
@@ -231,7 +231,7 @@ class Maximum:
     @property
     def theta(self) -> Array:
         """(k,) parameters."""
-        return self.surface.theta(self.point.z[np.newaxis])[0]
+        return np.asarray(self.surface.theta(self.point.z[np.newaxis])[0])
 
 
 def drawn(axes: Sequence[Axis], count: int) -> Array:
@@ -291,7 +291,7 @@ def _others(surface: Surface, ends: Sequence[Point]) -> list[Array]:
 
 
 def _seated(surface: Surface, point: Point, allowed: Callable[[Array], bool]) -> Maximum:
-    """Hold parameters at the bounds at which the likelihood is as large, and go on with the rest."""
+    """Hold parameters at bounds at which the likelihood is as large, and go on with the rest."""
     while True:
         seats = dict[int, float]()
         for at, j in enumerate(surface.free):
