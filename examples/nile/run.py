@@ -95,7 +95,7 @@ def main() -> None:
     print("\n| model | log-likelihood | AIC | `level_variance` | `flow_variance` | fall |")
     print("| --- | ---: | ---: | ---: | ---: | --- |")
     for label, each in (("a level that wanders", fit), ("and falls in 1899", dam)):
-        two = " | ".join(f"{each.estimates[name]:.0f}" for name in NAMES)
+        two = " | ".join(f"{each.estimates[name]:.1f}" for name in NAMES)
         fall = ""
         if "fall" in each.estimates:
             fall = f"{each.estimates['fall']:.0f} ± {each.standard_errors['fall']:.0f}"

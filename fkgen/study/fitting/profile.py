@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.runtime.record import whole
-from fkgen.study.fitting.search import Maximum, Point
+from fkgen.study.fitting.search import NEAR, Maximum, Point
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Curve:
             ]
             z = np.array([a.coordinate(v) for a, v in zip(axes, inside, strict=True)])
             steps = self._steps(surface.free)
-        point = surface.climb_by(z, steps, self.maximum.point.noise)
+        point = surface.climb_by(z, steps, self.maximum.point.noise, NEAR)
         self._latest[kind] = point
         return point.value
 

@@ -25,7 +25,9 @@ SHARE = 0.003  # of a standard error: steps of differences afterwards
 WIDEST = 0.003  # step where nothing is known of a parameter
 DRAWN, STARTS = 48, 2  # points around the defaults, and how many of them are begun at
 SHORT = 5000  # samples of the first searches
-GAIN = 1e-9  # in the log-likelihood, of one more Newton step, that ends a search
+#: Gain in the log-likelihood, by one more Newton step, that ends a search, the last one, and that
+#: a maximum may have
+NEAR, CLOSE, GOOD = 1e-8, 1e-12, 1e-6
 FLAT = 1e-6  # eigenvalue of the scaled information that counts as none
 COARSE = 3e3  # times the rounding of a value is the square of the share that it asks for
 DOUBT = 10.0  # times the rounding of a value is that of a second difference, at most
@@ -33,6 +35,7 @@ ROUNDS = 100
 _SPANS = (0.5, 9.2, 4.0)  # around the defaults, with none, one or two bounds
 _INWARDS = (1.0, 3.0, 6.0, 12.0, 24.0, 48.0)  # coordinates from a bound at which it has to be lower
 _LOST, _LOWER = 1e-6, 1e-3
+_SLOPE = 1e-3  # along what is flat: less than that is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,18 +57,35 @@ class Point:
     @property
     def flatness(self) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Eigenvalues of the information scaled to unit diagonal, directions, which are flat."""
-        diagonal = np.diag(self.information)
-        blind = np.abs(diagonal) < np.maximum(FLAT, DOUBT * self.noise / self.steps**2)
-        size = np.where(blind, 1.0, np.sqrt(np.abs(diagonal)))
+        size, blind = self._size
         scaled = self.information / size[:, None] / size
         scaled[blind] = scaled[:, blind] = 0.0
         values, directions = np.linalg.eigh(scaled)
-        flat = np.abs(values) < max(FLAT, DOUBT * min(self.noise / SHARE**2, 1.0 / COARSE))
-        return values, directions / size[:, None], flat
+        level = max(FLAT, DOUBT * min(self.noise / SHARE**2, 1.0 / COARSE))
+        return values, directions / size[:, None], np.abs(values) < level
+
+    @property
+    def _size(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Square roots of the diagonal, and where there is none."""
+        diagonal = np.diag(self.information)
+        blind = np.abs(diagonal) < np.maximum(FLAT, DOUBT * self.noise / self.steps**2)
+        return np.where(blind, 1.0, np.sqrt(np.abs(diagonal))), blind
+
+    @property
+    def steady(self) -> Array:
+        """The information, which keeps a search where it is along what is flat and has no slope."""
+        _, directions, flat = self.flatness
+        still = flat & (np.abs(directions.T @ self.gradient) < _SLOPE)
+        ways = (directions * self._size[0][:, None] ** 2)[:, still]
+        return np.asarray(self.information + ways @ ways.T)
 
     @property
     def settled(self) -> bool:
-        """Whether another step gains nothing."""
+        """Whether it is a maximum, to a small part of standard errors."""
+        return self.gains_less(GOOD)
+
+    def gains_less(self, gain: float) -> bool:
+        """Whether another Newton step gains less, as far as rounding lets it be seen."""
         if not self.finite:
             return False
         values, directions, flat = self.flatness
@@ -73,8 +93,8 @@ class Point:
         gains = 0.5 * slopes[~flat] ** 2 / values[~flat]
         return bool(
             (values > -1e-3).all()
-            and gains.sum() < max(GAIN, 10.0 * self.noise)
-            and (np.abs(slopes[flat]) < 1e-3).all()
+            and gains.sum() < max(gain, 10.0 * self.noise)
+            and (np.abs(slopes[flat]) < _SLOPE).all()
         )
 
     def fitting_steps(self, noise: float = 0.0) -> Array:
@@ -173,14 +193,14 @@ class Surface:
     def climb(self, z: Array) -> Point:
         """The maximum that a trust-region search finds from z, with steps that fit it."""
         first = np.full(len(z), STEP)
-        point = self.climb_by(z, first, self.noise(z, first))
+        point = self.climb_by(z, first, self.noise(z, first), NEAR)
         if not point.finite:
             return point
         noise = self.noise(point.z, point.fitting_steps())
         return self.climb_by(point.z, point.fitting_steps(noise), noise)
 
-    def climb_by(self, z: Array, steps: Array, noise: float) -> Point:
-        """The same with these steps, where values are as coarse."""
+    def climb_by(self, z: Array, steps: Array, noise: float, gain: float = CLOSE) -> Point:
+        """The same with these steps, where values are as coarse, until no more is gained."""
         from scipy.optimize import minimize  # noqa: PLC0415 - slow to import
 
         known = dict[bytes, Point]()
@@ -192,17 +212,17 @@ class Surface:
             return known[key]
 
         def stop(intermediate_result: Any) -> None:
-            if at(intermediate_result.x).settled:
+            if at(intermediate_result.x).gains_less(gain):
                 raise StopIteration
 
         first = at(np.asarray(z, float))
-        if not len(z) or not first.finite or first.settled:
+        if not len(z) or not first.finite or first.gains_less(gain):
             return first
         found = minimize(
             lambda z: -at(z).value,
             first.z,
             jac=lambda z: -at(z).gradient,
-            hess=lambda z: at(z).information,
+            hess=lambda z: at(z).steady,
             method="trust-exact",
             callback=stop,
             options={"maxiter": ROUNDS, "gtol": noise / steps.min(), "max_trust_radius": 64.0},
@@ -269,11 +289,11 @@ def maximise(
     ends = [each for i in (0, *best) if (each := surface.climb(begins[i])).finite]
     starts = np.array([begins[0], *(each.z for each in ends)])
     if long:
-        top = starts[int(np.argmax(whole.values(starts)))]
-        ends = [whole.climb(top)]
-    ends.sort(key=lambda each: -each.value)
+        ends = [whole.climb(starts[int(np.argmax(whole.values(starts)))])]
     if not ends:
         return Maximum(whole, whole.point(begins[0], np.full(len(axes), STEP)))
+    top = max(each.value for each in ends)  # the first is as good where nothing tells
+    ends.sort(key=lambda each: max(top - each.value - _LOST, 0.0))
     others = tuple(_others(whole, ends)) if not long else ()
     return replace(_seated(whole, ends[0], allowed), others=others)
 
