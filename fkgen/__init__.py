@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fkgen.study.effects.detectability import Detectability, detectability
     from fkgen.study.effects.effect import FaultEffect
     from fkgen.study.effects.fault_effect import fault_effect
+    from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
     from fkgen.study.fitting.fit import Fit, fit
     from fkgen.study.fitting.profile import Profile
     from fkgen.symbolic.validated import Claim, Validated
@@ -51,6 +52,7 @@ _HOMES = {
     "fkgen.study.effects.fault_effect": ("fault_effect",),
     "fkgen.study.effects.effect": ("FaultEffect",),
     "fkgen.study.effects.detectability": ("detectability", "Detectability"),
+    "fkgen.study.fitting.autocovariance": ("autocovariance", "Autocovariance"),
     "fkgen.study.fitting.fit": ("fit", "Fit"),
     "fkgen.study.fitting.profile": ("Profile",),
     "fkgen.symbolic.validated": ("Claim", "Validated"),
@@ -59,7 +61,15 @@ _HOMES = {
     "fkgen.runtime.results": ("Run", "Snapshot"),
 }
 
-__all__ = ["Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect", "Finding"]
+__all__ = [
+    "Autocovariance",
+    "Claim",
+    "Comparison",
+    "CompiledFilter",
+    "Detectability",
+    "FaultEffect",
+    "Finding",
+]
 __all__ += [
     "Fit",
     "Profile",
@@ -73,7 +83,16 @@ __all__ += [
 ]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
-__all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "fit"]
+__all__ += [
+    "autocovariance",
+    "build",
+    "check",
+    "compare",
+    "compile",
+    "detectability",
+    "fault_effect",
+    "fit",
+]
 __all__ += ["generate", "load", "profiles", "simulate", "validate"]
 
 

@@ -284,6 +284,7 @@ def run(spec: Spec, record: Reading, **options: Any) -> None:
 @click.argument("record", nargs=-1, required=True, type=Path)
 @click.option("--estimate", required=True, help="Parameters to estimate: q,r,...")
 @click.option("-o", "--output", type=Path, help="Spec file to write, with the estimates.")
+@click.option("--autocovariance", "second", is_flag=True, help="A second opinion on Q and R.")
 @_PLOT
 @_FORCE
 @_JSON

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 
 from fkgen.errors import DataError
 from fkgen.problem import Spec
+from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
 from fkgen.study.fitting.domain import estimated
 from fkgen.study.fitting.fit import Fit, fit
 from fkgen.study.records.files import refuse_targets, write_whole
@@ -41,6 +43,7 @@ def fitted(
     output: Path | None,
     plot: Path | None,
     force: bool,
+    second: bool,
     say: Say,
 ) -> Fitted:
     """Fit the parameters to the records; write the spec file and the picture that are asked for."""
@@ -63,10 +66,21 @@ def fitted(
 
         save(draw(found), plot, force=force)
         say("note", [f"{plot}: written"])
-    return told(found)
+    opinion = [] if not second else [judged(found, autocovariance(spec, y, u, params, searched))]
+    return told(found, opinion)
 
 
-def told(found: Fit) -> Fitted:
+def judged(found: Fit, other: Autocovariance) -> str:
+    """How far the estimates are from those of autocovariances."""
+    parts = []
+    for name, value in other.estimates.items():
+        apart = abs(value - found.estimates[name]) / found.standard_errors[name]
+        away = f" ({apart:.2g} standard errors away)" if math.isfinite(apart) else ""
+        parts.append(f"{name} = {value:.6g}{away}")
+    return f"autocovariance least squares: {', '.join(parts)}"
+
+
+def told(found: Fit, opinion: Sequence[str] = ()) -> Fitted:
     """The table, and the sentences below it."""
     intervals = found.interval()
     rows = [
@@ -84,7 +98,7 @@ def told(found: Fit) -> Fitted:
     gained = found.log_likelihood - found.initial_log_likelihood
     text = f"log-likelihood {found.log_likelihood:.10g}, {gained:.6g} above that of the defaults"
     text += f"; AIC {found.aic:.8g}, BIC {found.bic:.8g}"
-    return Fitted(found, HEAD, rows, (text, found.message))
+    return Fitted(found, HEAD, rows, (text, found.message, *opinion))
 
 
 def renewed(spec: Spec, found: Fit) -> str:

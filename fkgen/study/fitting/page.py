@@ -121,7 +121,7 @@ def draw(fit: Fit) -> Figure:
     _draw_means(axes["nis"], before, after)
     _draw_distribution(axes["distribution"], before, after, guide=_guide(fit.spec))
     for axis in (*places, *axes.values()):
-        axis.tick_params(labelsize=8)
+        axis.tick_params(which="both", labelsize=8)
     return figure
 
 
@@ -151,7 +151,7 @@ def _draw_profile(axis: Axes, fit: Fit, name: str) -> None:
     axis.set_xlim(left, right)
     axis.set_ylim(-3.0 * fall, 0.3 * fall)
     axis.set_ylabel("log-likelihood")
-    axis.locator_params(axis="x", nbins=5)
+    axis.locator_params(axis="x", nbins=4)
     axis.set_title(f"{name}: {default:.4g} → {fit.estimates[name]:.4g}\n[{low:.4g}, {high:.4g}]")
 
 
@@ -176,7 +176,7 @@ def _draw_correlation(
         at = lags + (i - 0.5 * (len(names) - 1)) * width
         label = f"{name}: {verdict} (p = {probability:.2g})"
         axis.bar(at, found.correlation[i], width, color=colour, label=label)
-    axis.set_ylim(-limit, limit)
+    axis.set_ylim(-limit, 1.4 * limit)  # room for the legend
     axis.set_ylabel("autocorrelation")
     axis.set_xlabel("lag (samples)")
     axis.set_xticks(range(0, LAGS + 1, 5))

@@ -377,3 +377,81 @@ def test_the_command_keeps_comments_and_writes_all_of_it_or_nothing(tmp_path, mo
         assert refused.exit_code == 2
         assert words in refused.stderr
         assert len(refused.stderr.strip().splitlines()) == 1
+
+
+MOVING = {
+    "name": "moving",
+    "parameters": {"q": 1.0, "s": 1.0, "r": {"default": 1.0, "max": 50.0}},
+    "model": {
+        "A": [[0.95, 0.1], [0.0, 0.9]],
+        "B": [[1.0], [0.0]],
+        "C": [[1.0, 0.0], [0.3, 1.0]],
+        "Q": [["q", "0.5*s"], ["0.5*s", "s"]],
+        "R": [["r", 0.1], [0.1, 0.5]],
+        "c": [0.2, 0.0],
+        "x0": [0.0, 0.0],
+        "P0": [[1.0, 0.0], [0.0, 1.0]],
+    },
+    "filter": {"family": "kf"},
+}
+
+
+def test_expected_autocovariances_are_those_of_responses_to_every_noise():
+    """Innovations are linear in noises: the sum over responses to one impulse in each of them."""
+    module = pytest.importorskip("fkgen.study.fitting.autocovariance")
+    spec = fkgen.Spec.from_dict(MOVING)
+    plant = module._Plant.of(spec, ("q", "s", "r"))
+    built = fkgen.build(plant.observer("moving"))
+    A, C, c, T, lags = np.array(MOVING["model"]["A"]), np.array(MOVING["model"]["C"]), 0.2, 400, 5
+    Q, R = np.array([[0.5, 0.3], [0.3, 0.6]]), np.array([[2.0, 0.1], [0.1, 0.5]])
+    still = np.zeros((T, 2))
+    records = [still]
+    for roots in (np.linalg.cholesky(Q).T, np.linalg.cholesky(R).T):
+        for root in roots:
+            x, rows = np.zeros(2), []
+            for k in range(T):
+                rows.append(C @ x + (root if k == 0 and len(records) > 2 else 0.0))
+                x = A @ x + (root if k == 0 and len(records) <= 2 else 0.0)
+            records.append(np.array(rows))
+    run = built.run_batch(np.array(records), np.zeros((T, 1)), keep=["innovation"])
+    responses = run.innovation[1:] - run.innovation[0]  # c, and the start, are in all of them
+    assert np.abs(responses[:, -1]).max() < 1e-6 * c
+    expected = plant.expected(Q, R, lags)
+    for j in range(lags):
+        found = np.einsum("mki,mkj->ij", responses[:, j:], responses[:, : T - j])
+        np.testing.assert_allclose(found, expected[j], atol=1e-6)
+
+
+def test_autocovariances_agree_with_the_likelihood(tmp_path, monkeypatch):
+    pytest.importorskip("cvxpy")
+    spec, true = fkgen.Spec.from_dict(MOVING), {"q": 0.5, "s": 0.3, "r": 2.0}
+    u = np.sin(0.1 * np.arange(6000))[:, np.newaxis]
+    y = fkgen.simulate(spec, 1, 6000, 2, u, params=true).y[0]
+    other = fkgen.autocovariance(spec, y, u, estimate=tuple(true))
+    fit = fkgen.fit(spec, y, u, estimate=tuple(true))
+    for name, value in true.items():
+        assert abs(other.estimates[name] - value) < 0.15 * value
+        assert abs(other.estimates[name] - fit.estimates[name]) < 4.0 * fit.standard_errors[name]
+    assert other.spec.defaults == other.estimates
+    np.testing.assert_allclose(other.expected[0], other.autocovariance[0], atol=0.1)
+    narrow = changed(MOVING, parameters__r={"default": 1.0, "max": 1.5})
+    assert fkgen.autocovariance(narrow, y, u, estimate="r").estimates["r"] <= 1.5 + 1e-6
+    for given, options, words in (
+        (spec, {"estimate": ("q", "z")}, "given 'z'"),
+        (spec, {"estimate": "q", "params": {"r": np.arange(3.0)}}, "params.r"),
+        (changed(MOVING, model__A=[["q", 0.1], [0.0, 0.9]]), {"estimate": "q"}, "model.A"),
+        (changed(MOVING, model__R=[["r**2", 0.1], [0.1, 0.5]]), {"estimate": "r"}, "not linear"),
+        (
+            changed(
+                MOVING,
+                model__Q=[[1.0, "0.5*s"], ["0.5*s", "s"]],
+                model__R=[["(q + r)/2", 0.1], [0.1, 0.5]],
+            ),
+            {"estimate": ("q", "r")},
+            "the same along a direction",
+        ),
+    ):
+        with pytest.raises(fkgen.DataError, match=words):
+            fkgen.autocovariance(given, y, u, **options)
+    with pytest.raises(fkgen.DataError, match="missing rows"):
+        fkgen.autocovariance(spec, np.full((100, 2), np.nan), u[:100], estimate="q")
