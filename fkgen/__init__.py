@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from fkgen.study.effects.detectability import Detectability, detectability
     from fkgen.study.effects.effect import FaultEffect
     from fkgen.study.effects.fault_effect import fault_effect
+    from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
+    from fkgen.study.fitting.fit import Fit, fit
+    from fkgen.study.fitting.profile import Profile
     from fkgen.symbolic.validated import Claim, Validated
     from fkgen.trials.simulation import Simulation, simulate
 
@@ -49,18 +52,48 @@ _HOMES = {
     "fkgen.study.effects.fault_effect": ("fault_effect",),
     "fkgen.study.effects.effect": ("FaultEffect",),
     "fkgen.study.effects.detectability": ("detectability", "Detectability"),
+    "fkgen.study.fitting.autocovariance": ("autocovariance", "Autocovariance"),
+    "fkgen.study.fitting.fit": ("fit", "Fit"),
+    "fkgen.study.fitting.profile": ("Profile",),
     "fkgen.symbolic.validated": ("Claim", "Validated"),
     "fkgen.backend.source": ("Source",),
     "fkgen.runtime.compiled": ("CompiledFilter",),
     "fkgen.runtime.results": ("Run", "Snapshot"),
 }
 
-__all__ = ["Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect", "Finding"]
-__all__ += ["Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Validated"]
+__all__ = [
+    "Autocovariance",
+    "Claim",
+    "Comparison",
+    "CompiledFilter",
+    "Detectability",
+    "FaultEffect",
+    "Finding",
+]
+__all__ += [
+    "Fit",
+    "Profile",
+    "Report",
+    "Run",
+    "Simulation",
+    "Snapshot",
+    "Source",
+    "Spec",
+    "Validated",
+]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
-__all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "generate"]
-__all__ += ["load", "profiles", "simulate", "validate"]
+__all__ += [
+    "autocovariance",
+    "build",
+    "check",
+    "compare",
+    "compile",
+    "detectability",
+    "fault_effect",
+    "fit",
+]
+__all__ += ["generate", "load", "profiles", "simulate", "validate"]
 
 
 def __getattr__(name: str) -> Any:

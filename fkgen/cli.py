@@ -98,17 +98,20 @@ _DIALECT = (
 
 
 def _reading(command: Any) -> Any:
-    """Hand a record file over together with how it is written; what is not said is found out."""
+    """Hand record files over together with how they are written; what is not said is found out."""
 
     @functools.wraps(command)
-    def call(*arguments: Any, record: Path | None, **options: Any) -> Any:
+    def call(*arguments: Any, record: Path | tuple[Path, ...] | None, **options: Any) -> Any:
         from fkgen.study.records.reading import checked
 
         names = ("time", "delimiter", "decimal", "encoding", "skip_rows", "missing")
-        written = {name: options.pop(name) for name in names}
-        columns, given = options.pop("column"), None
-        if record is not None:
-            given = checked(record, columns=columns, **written)
+        written: Any = {name: options.pop(name) for name in names}
+        written["columns"] = options.pop("column")
+        given: Reading | tuple[Reading, ...] | None = None
+        if isinstance(record, tuple):
+            given = tuple(checked(each, **written) for each in record)
+        elif record is not None:
+            given = checked(record, **written)
         return command(*arguments, record=given, **options)
 
     for option in reversed(_DIALECT):
@@ -142,6 +145,7 @@ def main() -> None:
     fkgen check motor.toml           is the model sound?
     fkgen generate motor.toml        C code
     fkgen run motor.toml record.csv  filter a record; smooth: each sample from all of it
+    fkgen fit motor.toml record.csv  parameters from records
     fkgen fault-effect motor.toml    what a fault does to the estimate
     fkgen compare motor.toml         which family to take
     """  # noqa: D301 - \b is for click
@@ -294,6 +298,28 @@ def _end(told: Told) -> NoReturn:
     _say("warning", (*told.warnings, *told.refused))
     _say("summary", [told.summary])
     sys.exit(1 if told.refused else 0)
+
+
+@main.command()
+@_SPEC
+@click.argument("record", nargs=-1, required=True, type=Path)
+@click.option("--estimate", required=True, help="Parameters to estimate: q,r,...")
+@click.option("-o", "--output", type=Path, help="Spec file to write, with the estimates.")
+@click.option("--autocovariance", "second", is_flag=True, help="A second opinion on Q and R.")
+@_PLOT
+@_FORCE
+@_JSON
+@_reading
+def fit(spec: Spec, record: tuple[Reading, ...], *, as_json: bool, **options: Any) -> None:
+    """Estimate parameters of SPEC from RECORDs, by maximum likelihood.
+
+    The new spec file keeps comments and order of the old one.
+    """
+    from fkgen.study.fitting.command import fitted
+
+    found = fitted(spec, record, say=_say, **options)
+    _tell(found, (found.head, found.rows), found.lines, as_json=as_json)
+    sys.exit(0 if found.fit.converged else 1)
 
 
 @main.command("fault-effect")

@@ -47,6 +47,7 @@ FAMILY = Family(
     proof=proof,
     traits=Traits(
         linear=True,
+        exact=True,
         nonlinear=True,
         hindsight=True,
         told=(Parameter("gamma", 1.0), Parameter("delta", 1.0)),

@@ -72,7 +72,7 @@ FAMILY = Family(
     title="Kalman filter, no faults: missing samples, time-varying models",
     build=build,
     proof=proved_by("gaussian", "BATCH", "LAGGED", "RICCATI", "CONSTANT_GAIN"),
-    traits=Traits(linear=True, correlated=True, hindsight=True),
+    traits=Traits(linear=True, exact=True, correlated=True, hindsight=True),
     options=KalmanOptions,
     check=check,
     starter="starter_kf.toml",

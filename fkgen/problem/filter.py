@@ -47,6 +47,7 @@ class Traits:
 
     #: Linear in y, with gains that no measurement changes; the NIS is chi-square
     linear: bool = False
+    exact: bool = False  # Its likelihood is that of the model, with nothing approximated
     #: "one"; "bank": several side by side, combined by weights; "merged": several from one
     #: Gaussian, merged again; "mixed": several estimates, mixed before every sample
     models: Literal["one", "bank", "merged", "mixed"] = "one"

@@ -55,12 +55,12 @@ class Batch(ctypes.Structure):
             Where all records start, or where each does; the latter move on.
         data : (M, T, p) array, and (T, q) or (M, T, q) array
             Measurements and inputs.
-        parameters : sequence of (1,), (T,) or (M, T) array
+        parameters : sequence of (1,), (T,), (M, T) or (M, 1) array
         results : ports that are wanted, or None; (M, T) status; (M, T) held
         """
         y, u = data
         (M, T), (out, status, held) = y.shape[:2], results
-        steps = [(T if v.ndim == 2 else 0, int(v.shape[-1] > 1)) for v in parameters]
+        steps = [(v.shape[1] if v.ndim == 2 else 0, int(v.shape[-1] > 1)) for v in parameters]
         strides = np.array(steps, np.int64)
         places = np.array([each.ctypes.data for each in parameters], np.uintp)
         to = np.array([0 if each is None else each.ctypes.data for each in out], np.uintp)

@@ -228,8 +228,8 @@ class CompiledFilter:
         y : (M, T, p) array_like
         u : (M, T, q) or (T, q) array_like
             Inputs of each record, or of all of them.
-        params : mapping of str to float, (T,) or (M, T) array_like
-            As for `run`, the same for all records, or one row per record.
+        params : mapping of str to float, (T,), (M, T) or (M, 1) array_like
+            As for `run`, the same for all records, or one row, or one number, per record.
         keep : sequence of str
             Ports to store; all by default.
         start : Snapshot or mapping

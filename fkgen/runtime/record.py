@@ -173,14 +173,14 @@ def values_of(
     *,
     records: int | None = None,
 ) -> list[Array]:
-    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
+    """One array per parameter: (1,), (samples,), or of several records (M, samples) or (M, 1)."""
     values = _mapping(given, [name for name, _ in named])
     result = []
     for name, default in named:
         what = f"params.{name}"
         value = values.get(name, default)
         array = np.atleast_1d(numbers(what, value, dtype, role="a parameter is never missing"))
-        if array.shape not in ((1,), (samples,), (records, samples)):
+        if array.shape not in ((1,), (samples,), (records, samples), (records, 1)):
             several = "" if records is None else f" or ({records}, {samples})"
             expected = f"a number or shape ({samples},){several}"
             raise DataError(what, given=f"shape {array.shape}", expected=expected)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -77,17 +77,21 @@ class _Piece:
 
 
 class Record:
-    """A record file and a spec. Notes and warnings are complete after the last piece."""
+    """A record file and a spec. Notes and warnings are complete after the last piece.
 
-    def __init__(self, reading: Reading, spec: Spec) -> None:
+    Parameters ``without`` a value are not looked for.
+    """
+
+    def __init__(self, reading: Reading, spec: Spec, without: Collection[str] = ()) -> None:
         self._spec, self._reading = spec, _renamed(reading, spec)
+        self._parameters = [name for name in spec.defaults if name not in without]
         self._outputs = [signal.name for signal in spec.model.outputs]
         self._inputs = [signal.name for signal in spec.model.inputs]
         self._clock = clock_of(spec)
         wanted = [*self._outputs, *self._inputs]
         self.source = opened(self._reading, wanted)
         try:
-            self._columns = self._found(wanted, list(spec.defaults))
+            self._columns = self._found(wanted, self._parameters)
             self._time, self._unit = time_column(
                 self.source.headings,
                 self._reading.time,
@@ -145,7 +149,7 @@ class Record:
 
     def _first_notes(self) -> Iterator[str]:
         headings, clock = self.source.headings, self._clock
-        for name in self._spec.defaults:
+        for name in self._parameters:
             if name in self._columns:
                 continue
             if name == clock and self._time is not None:

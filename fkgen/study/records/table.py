@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ Source = str | os.PathLike[str] | Reading
 Say = Callable[[str, Iterable[str]], None]  # Tell "note" or "warning" in sentences
 
 
-def read_table(path: Source, spec: Spec) -> Table:
-    """Read the whole record that a spec asks for."""
-    record = Record(reading_of(path), spec)
+def read_table(path: Source, spec: Spec, without: Collection[str] = ()) -> Table:
+    """Read the whole record that a spec asks for, without some of its parameters."""
+    record = Record(reading_of(path), spec, without)
     whole = joined(list(record.pieces()))
     return replace(whole, notes=record.notes, warnings=record.warnings)
 

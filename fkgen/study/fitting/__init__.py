@@ -1,0 +1,1 @@
+"""Parameters of a filter from records, by maximum likelihood."""
