@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,18 @@ class Scores(NamedTuple):
     detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
 
 
+class Outcome(NamedTuple):
+    """A filter over M trials next to the truth, from some sample on."""
+
+    run: Run  # of all samples
+    error: Array  # (M, T, ne)
+    covariance: NDArray[np.floating]  # (M, T, ne, ne)
+    nees: tuple[Array, Array]  # (M,) each, summed over samples; dimensions that were summed
+    nis: tuple[Array, Array]  # the same of the innovation, and rows
+    used: Flags  # (M, T), samples whose innovation counts
+    detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
+
+
 def score(
     compiled: CompiledFilter, given: FilterInputs, drawn: Simulation, skip: int, false_alarm: float
 ) -> Scores:
@@ -54,16 +67,34 @@ def score(
 
     A filter without modes declares a fault by a test of the NIS with this false alarm rate.
     """
+    found = outcome(compiled, given, drawn, skip, false_alarm)
+    refused = found.run.refused.sum(axis=1).astype(np.float64)
+    squared = (found.error**2).mean(axis=1)
+    return Scores(squared, _over(*found.nees), _over(*found.nis), refused, found.detection)
+
+
+def outcome(
+    compiled: CompiledFilter,
+    given: FilterInputs,
+    drawn: Simulation,
+    skip: int,
+    false_alarm: float,
+    *,
+    more: Sequence[str] = (),
+) -> Outcome:
+    """What `score` looks at; the run has ``more`` ports than those that scores need."""
     from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
 
-    kept = [name for name in PORTS if name in compiled.ports]
+    kept = [name for name in (*PORTS, *more) if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     states = drawn.spec.model.states
     error = errors_of(states, drawn.state[:, skip:], run["filtered_state"][:, skip:])
     covariance = run["filtered_covariance"][:, skip:]
     runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
-    nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
-    nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
+    nees = weighted_squares(error, covariance, float(np.finfo(covariance.dtype).eps))
+    host = len(given.tested) < given.y.shape[2]  # which always uses its rows
+    used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
+    nis = _nis(run, rows, skip, used)
     counts, jump = np.full((runs, 5), np.nan), drawn.spec.faults.jump
     half = 0.5 * np.arange(1, given.y.shape[2] + 1)
     limits = np.array([np.inf, *(2.0 * gammainccinv(half, false_alarm))])  # of 0, 1, ... rows
@@ -72,24 +103,23 @@ def score(
     if faults is not None and alarms is not None:
         tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
         counts = np.stack(detection(faults, alarms, skip, tested), axis=1)
-    refused = run.refused.sum(axis=1).astype(np.float64)
-    return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
+    return Outcome(run, error, covariance, nees, nis, used, counts)
 
 
-def _nis(run: Run, rows: NDArray[np.int64], skip: int, *, host: bool) -> Array:
-    """Sum over samples that were used, per row that was there; a host always uses its rows."""
+def _nis(run: Run, rows: NDArray[np.int64], skip: int, used: Flags) -> tuple[Array, Array]:
+    """Sums over samples that were used, and rows that were there."""
     if "nis" not in run.ports:
-        return np.full(len(rows), np.nan)
-    used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
+        return np.zeros(len(rows)), np.zeros(len(rows))
     total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
-    return _over(total, (rows[:, skip:] * used).sum(axis=1))
+    return total, (rows[:, skip:] * used).sum(axis=1, dtype=np.float64)
 
 
-def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> Array:
-    """Mean of e' P^-1 e over its dimensions, (M,), of (M, T, n) errors: LDL' of all at once.
+def weighted_squares(
+    error: Array, covariance: NDArray[np.floating], unit: float
+) -> tuple[Array, Array]:
+    """Sums of e' P^-1 e and of its dimensions, (M,), of (M, T, n) errors: LDL' of all at once.
 
-    Directions in which P (M, T, n, n), of this unit round-off, is zero are left out; NaN where none
-    is left.
+    Directions in which P (M, T, n, n), of this unit round-off, is zero are left out.
     """
     left, e = covariance.astype(np.float64), error.copy()
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
@@ -102,7 +132,7 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
         share, below = left[..., j + 1 :, j] * inverse[..., None], left[..., j, None, j + 1 :]
         e[..., j + 1 :] -= share * e[..., j, None]
         left[..., j + 1 :, j + 1 :] -= share[..., None] * below
-    return _over(total.sum(axis=1), dimensions.sum(axis=1))
+    return total.sum(axis=1), dimensions.sum(axis=1)
 
 
 def _over(total: Array, count: NDArray[np.number]) -> Array:

@@ -1,0 +1,218 @@
+"""Any number of trials of a filter, summed up: the same digits wherever they are computed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fkgen.console import progressing
+from fkgen.errors import DataError, of_type
+from fkgen.pipeline import build
+from fkgen.problem import Spec
+from fkgen.problem.spec import as_spec
+from fkgen.runtime import record
+from fkgen.study.campaigns.block import Work, block_size
+from fkgen.study.campaigns.checkpoint import Checkpoint
+from fkgen.study.campaigns.engine import Engine, Lost, check_workers, engine_of
+from fkgen.study.campaigns.results import Campaign, campaign_of
+from fkgen.study.campaigns.sums import Sums, merged
+from fkgen.trials.simulation import Request, counted, drawing_of
+
+#: Trials before a campaign may stop by its precision, and how it grows until it is asked again.
+_FEWEST, _GROWTH = 100, 1.25
+#: Blocks that are computed in one go at most, so that progress is seen and little is lost.
+_RANGE = 16
+
+
+def montecarlo(
+    spec: Spec,
+    trials: int,
+    steps: int,
+    seed: int = 0,
+    *,
+    u: ArrayLike | None = None,
+    params: Mapping[str, ArrayLike] | None = None,
+    truth: Spec | None = None,
+    workers: int | None = None,
+    scheduler: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    precision: float | None = None,
+    progress: bool = False,
+) -> Campaign:
+    """Filter simulated trials and sum up what the filter made of them; no trial is stored.
+
+    Parameters
+    ----------
+    spec : Spec
+        The filter.
+    trials, steps, seed : int
+        M trials of T samples; they are those of ``simulate(truth or spec, trials, steps, seed)``.
+    u, params
+        Inputs and run-time parameters, as for `simulate`.
+    truth : Spec, optional
+        The plant and its faults, if they are not those of ``spec``: of the same sizes.
+    workers : int, optional
+        Threads; default: one for each core.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers compute instead (``fkgen[cluster]``); or a
+        ``distributed.Client``.
+    checkpoint : path, optional
+        File in which sums are kept; a campaign goes on from it, also with more trials.
+    precision : float, optional
+        Stop when every relative standard error of the rmse is below it; ``trials`` is the most.
+    progress : bool
+        Show how far it is, on stderr.
+
+    Returns
+    -------
+    Campaign
+        The same digits whatever the workers, and whatever stopped them in between.
+
+    Raises
+    ------
+    SpecError, DataError, OutputError
+        If something does not fit, the plant overflows, or a file is none of ours.
+    KeyboardInterrupt
+        After the checkpoint was written, which its text names.
+    """
+    check_workers(workers, scheduler)
+    if precision is not None:
+        precision = _positive("precision", precision)
+    path = None
+    if checkpoint is not None:
+        path = Path(of_type("checkpoint", checkpoint, str | os.PathLike, "the path of a file"))
+    work = work_of(spec, truth, counted("trials", trials), counted("steps", steps), seed, u, params)
+    kept = Checkpoint(path, work)
+    with progressing("montecarlo", trials, shown=progress) as advance:
+        advance(kept.ledger.blocks * work.size)
+        sums = _kept(work, kept, workers, scheduler, precision, advance)
+    return campaign_of(work, sums)
+
+
+def work_of(
+    spec: Spec,
+    truth: Spec | None,
+    trials: int,
+    steps: int,
+    seed: int,
+    u: ArrayLike | None,
+    params: Mapping[str, ArrayLike] | None,
+) -> Work:
+    """A campaign, checked and compiled."""
+    design = as_spec(spec).whole
+    plant = design if truth is None else as_spec(truth, "truth")
+    _check_sizes(design, plant)
+    given = {} if params is None else of_type("params", params, Mapping, "a mapping of names")
+    own, of_plant = ({each.name for each in s.stated_parameters} for s in (design, plant))
+    told = {name: value for name, value in given.items() if name in of_plant or name not in own}
+    drawing = drawing_of(Request(plant, trials, steps, seed, 0), u, told)
+    compiled = build(design)
+    others = [(e.name, e.default) for e in design.stated_parameters if e.name not in of_plant]
+    left = {name: given[name] for name, _ in others if name in given}
+    values = record.values_of(others, left, steps, np.float64)
+    more = dict(zip((name for name, _ in others), values, strict=True))
+    return Work(design, compiled, drawing, trials, block_size(design, steps), more)
+
+
+def _check_sizes(spec: Spec, truth: Spec) -> None:
+    sizes = [
+        f"{s.model.nx} states, {s.model.nu} inputs, {s.model.ny} measurements" for s in (truth, spec)
+    ]
+    kinds = [[(e.wrap, e.manifold) for e in s.model.states] for s in (truth, spec)]
+    if sizes[0] != sizes[1]:
+        raise DataError("truth", given=sizes[0], expected=f"{sizes[1]}, as the filter has")
+    if kinds[0] != kinds[1]:
+        given, expected = "other states that are angles or attitudes", "those of the filter"
+        raise DataError("truth", given=given, expected=expected)
+
+
+def _positive(what: str, value: Any) -> float:
+    expected = "a positive number, such as 0.01"
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if isinstance(value, bool) or not 0.0 < number < np.inf:
+        raise DataError(what, given=repr(value), expected=expected)
+    return number
+
+
+def _kept(
+    work: Work,
+    kept: Checkpoint,
+    workers: int | None,
+    scheduler: Any,
+    precision: float | None,
+    advance: Any,
+) -> Sums:
+    """The sums, by way of a checkpoint, which is written whatever happens."""
+    try:
+        with engine_of(work, workers, scheduler) as (engine, threads):
+            return _summed(work, kept, engine, threads, precision, advance)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted{_how_to_go_on(kept, work)}") from None
+    except Lost as lost:
+        given = f"{lost.given}{_how_to_go_on(kept, work)}"
+        raise DataError(lost.what, given=given, expected=lost.expected) from None
+    finally:
+        kept.write()
+
+
+def _how_to_go_on(kept: Checkpoint, work: Work) -> str:
+    if kept.path is None:
+        return "; nothing is kept without a checkpoint"
+    done = kept.ledger.blocks * work.size
+    return f"; {kept.path} holds {done} of {work.trials} trials: the same call goes on from there"
+
+
+def _summed(
+    work: Work,
+    kept: Checkpoint,
+    engine: Engine,
+    threads: int,
+    precision: float | None,
+    advance: Any,
+) -> Sums:
+    """The sums of whole blocks, until they are precise or all there; then the smaller last one."""
+    whole = work.trials // work.size
+    for stop in _ends(work, whole, precision):
+        size = min(_RANGE, max(1, stop // (4 * threads)))
+        missing = [part for each in kept.ledger.missing(stop) for part in _parts(each, size)]
+        for blocks, sums in engine(missing):
+            kept.add(blocks, sums)
+            advance(sums.trials)
+        so_far = kept.ledger.total()
+        if precision is not None and so_far is not None and _precise(so_far, precision):
+            return so_far
+    found = [] if (total := kept.ledger.total()) is None else [total]
+    if whole < work.blocks:
+        for _, sums in engine([range(whole, work.blocks)]):
+            found.append(sums)
+            advance(sums.trials)
+    return merged(found)
+
+
+def _ends(work: Work, whole: int, precision: float | None) -> Iterator[int]:
+    """Numbers of blocks at which to look; which ones depends on nothing else."""
+    at = whole if precision is None else -(-_FEWEST // work.size)
+    while at < whole:
+        yield at
+        at = max(at + 1, int(_GROWTH * at))
+    if whole:
+        yield whole
+
+
+def _parts(blocks: range, size: int) -> Iterator[range]:
+    for start in range(blocks.start, blocks.stop, size):
+        yield range(start, min(start + size, blocks.stop))
+
+
+def _precise(sums: Sums, precision: float) -> bool:
+    """Whether every relative standard error of the rmse is small: half that of its square."""
+    value, error = sums.ratio("mse")
+    return bool((0.5 * error <= precision * value).all())
