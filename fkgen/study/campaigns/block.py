@@ -11,18 +11,14 @@ from numpy.typing import NDArray
 from fkgen.problem import Spec
 from fkgen.runtime.blocks import one_thread
 from fkgen.runtime.compiled import CompiledFilter
-from fkgen.runtime.results import Run
-from fkgen.study.campaigns.sums import Pairs, Sums, merged
+from fkgen.study.campaigns.sums import Sums, merged
+from fkgen.study.campaigns.tally import Tally
 from fkgen.study.comparisons.candidates import filter_inputs
-from fkgen.study.comparisons.scores import Detection, Outcome, outcome
+from fkgen.study.comparisons.scores import outcome
 from fkgen.trials.simulation import Drawing, Simulation
 
 Array = NDArray[np.float64]
 
-#: Within so many standard deviations.
-SIGMAS = (1, 2, 3)
-#: Bins of a mode's probability.
-BINS = 10
 #: Of the test of the NIS by which a filter without modes declares a fault.
 FALSE_ALARM = 0.01
 
@@ -56,6 +52,8 @@ class Work:
     spec: Spec
     compiled: CompiledFilter
     drawing: Drawing
+    tally: Tally
+    modes: int
     trials: int
     size: int
     params: dict[str, Array]
@@ -84,17 +82,16 @@ class Work:
                     raise Stopped
                 start = block * self.size
                 drawn = self.drawing.draw(start, min(start + self.size, self.trials))
-                found.append(Sums.of(self._pairs(drawn)))
+                found.append(self._block(drawn))
         return merged(found)
 
-    def _pairs(self, drawn: Simulation) -> Pairs:
-        told = bool(self.spec.filter.traits.told)
-        given = filter_inputs(drawn, self.spec, genie=told)
+    def _block(self, drawn: Simulation) -> Sums:
+        given = filter_inputs(drawn, self.spec, genie=bool(self.spec.filter.traits.told))
         given = replace(given, params={**given.params, **self.params})
         ports = ("innovation", "innovation_covariance")
-        found = outcome(self.compiled, given, drawn, 0, FALSE_ALARM, more=ports)
-        y = given.y[..., list(given.tested)]
-        return pairs_of(found, y, true_mode(drawn, found.run))
+        found = outcome(self.compiled, given, drawn, FALSE_ALARM, more=ports)
+        y, mode = given.y[..., list(given.tested)], true_mode(drawn, self.modes)
+        return self.tally.sums(found, y, mode)
 
 
 def block_size(spec: Spec, steps: int) -> int:
@@ -110,75 +107,26 @@ def block_size(spec: Spec, steps: int) -> int:
     return size - size % _LANES
 
 
-def pairs_of(found: Outcome, y: Array, mode: NDArray[np.integer] | None) -> Pairs:
-    """What statistics are ratios of, by trial."""
-    error, one, steps = found.error, np.ones((1, 1)), found.error.shape[1]
-    variance = np.diagonal(found.covariance, axis1=2, axis2=3).astype(np.float64)
-    squares = error**2
-    inside = [(squares <= each**2 * variance).sum(axis=1) / steps for each in SIGMAS]
-    counts = Detection(*np.nan_to_num(found.detection).T)
-    mean_square = squares.sum(axis=1) / steps
-    pairs = {
-        "mse": (mean_square, one),
-        "claimed": (mean_square, variance.sum(axis=1) / steps),
-        "bias": (error.sum(axis=1) / steps, one),
-        "nees": found.nees,
-        "nis": found.nis,
-        "coverage": (np.stack(inside, axis=2), one[..., np.newaxis]),
-        "delay": (counts.waited, counts.found),
-        "detected": (counts.found, counts.onsets),
-        "false_alarm": (counts.alarms, counts.healthy),
-    }
-    return pairs | _of_innovations(found, y) | _of_modes(found.run, mode)
+def modes_of(compiled: CompiledFilter, plant: Spec) -> int:
+    """How many modes of a filter are those of a plant, one by one; 0 if they are others."""
+    ports = {port.name: port for port in compiled.layout.ports}
+    if "mode_probability" not in ports:
+        return 0
+    (count,), faults = ports["mode_probability"].shape, plant.faults
+    if faults.actuator is not None:
+        drawn = 0 if faults.actuator.success_rate else len(plant.filter.option("prior", ()))
+        return count if count == drawn else 0
+    if faults.sensor is not None:
+        return count if count in {3, 4} else 0
+    return count if faults.jump is not None and count == len(faults.jump.modes) else 0
 
 
-def _of_innovations(found: Outcome, y: Array) -> Pairs:
-    """Squares of each row's normalised innovation, and its product with that of the next sample."""
-    run, there = found.run, np.isfinite(y) & found.used[..., np.newaxis]
-    if not {"innovation", "innovation_covariance"} <= set(run.ports):
-        nothing = np.zeros((len(y), 0))
-        return {"sensor_nis": (nothing, nothing), "whiteness": (nothing, nothing)}
-    variance = np.diagonal(run["innovation_covariance"], axis1=2, axis2=3).astype(np.float64)
-    there &= variance > 0.0
-    scale = np.sqrt(np.where(there, variance, 1.0))
-    z = np.where(there, run["innovation"] / scale, 0.0)
-    squares, both = z**2, there[:, 1:] & there[:, :-1]
-    return {
-        "sensor_nis": (squares.sum(axis=1), there.sum(axis=1, dtype=np.float64)),
-        "whiteness": ((z[:, 1:] * z[:, :-1]).sum(axis=1), both.sum(axis=1, dtype=np.float64)),
-    }
-
-
-def _of_modes(run: Run, mode: NDArray[np.integer] | None) -> Pairs:
-    """Bin by bin of each mode's probability: how often it is the true one, and the probability."""
-    runs = len(run.status)
-    if mode is None:
-        nothing = np.zeros((runs, 0, BINS))
-        return {"calibration": (nothing, nothing), "predicted": (nothing, nothing)}
-    p = run["mode_probability"].astype(np.float64)
-    count = p.shape[2]
-    cell = np.minimum((p * BINS).astype(np.intp), BINS - 1)
-    cell += BINS * np.arange(count)
-    cell += BINS * count * np.arange(runs)[:, np.newaxis, np.newaxis]
-    hit = mode[..., np.newaxis] == np.arange(count)
-    shape = (runs, count, BINS)
-    total, sums, hits = (
-        np.bincount(cell.ravel(), weights, runs * count * BINS).reshape(shape).astype(np.float64)
-        for weights in (None, p.ravel(), hit.ravel())
-    )
-    return {"calibration": (hits, total), "predicted": (sums, total), "excess": (hits - sums, total)}
-
-
-def true_mode(drawn: Simulation, run: Run) -> NDArray[np.integer] | None:
-    """Which of the modes of a filter was the true one, (M, T); None if it has none of these."""
-    if "mode_probability" not in run.ports:
+def true_mode(drawn: Simulation, count: int) -> NDArray[np.integer] | None:
+    """Which of so many modes was the true one, (M, T)."""
+    found = drawn.mode
+    if not count:
         return None
-    count, found = run["mode_probability"].shape[2], drawn.mode
     if drawn.hypothesis is not None:
-        return np.broadcast_to(drawn.hypothesis[:, np.newaxis], run.status.shape)
-    if found is None:
-        return None
-    modes = int(drawn.trials.modes.max()) + 1
-    if drawn.spec.faults.sensor is not None and (modes, count) == (4, 3):
-        return np.minimum(found, 2)  # without signal both noises are one mode
-    return found if modes == count else None
+        return np.broadcast_to(drawn.hypothesis[:, np.newaxis], drawn.y.shape[:2])
+    # of three modes of a sensor the last is that without signal, whatever its noise
+    return found if found is None else np.minimum(found, count - 1)

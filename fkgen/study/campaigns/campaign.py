@@ -16,11 +16,12 @@ from fkgen.pipeline import build
 from fkgen.problem import Spec
 from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
-from fkgen.study.campaigns.block import Work, block_size
+from fkgen.study.campaigns.block import Work, block_size, modes_of
 from fkgen.study.campaigns.checkpoint import Checkpoint
 from fkgen.study.campaigns.engine import Engine, Lost, check_workers, engine_of
 from fkgen.study.campaigns.results import Campaign, campaign_of
 from fkgen.study.campaigns.sums import Sums, merged
+from fkgen.study.campaigns.tally import Tally, sizes_of
 from fkgen.trials.simulation import Request, counted, drawing_of
 
 #: Trials before a campaign may stop by its precision, and how it grows until it is asked again.
@@ -116,7 +117,12 @@ def work_of(
     left = {name: given[name] for name, _ in others if name in given}
     values = record.values_of(others, left, steps, np.float64)
     more = dict(zip((name for name, _ in others), values, strict=True))
-    return Work(design, compiled, drawing, trials, block_size(design, steps), more)
+    soft = design.faults.soft
+    tested = design.model.ny if soft is None else len(soft.host)
+    modes = modes_of(compiled, plant)
+    tally = Tally(sizes_of(compiled, design.model.ne, tested, modes))
+    size = block_size(design, steps)
+    return Work(design, compiled, drawing, tally, modes, trials, size, more)
 
 
 def _check_sizes(spec: Spec, truth: Spec) -> None:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.problem import Spec
-from fkgen.study.campaigns.block import SIGMAS, Work
+from fkgen.study.campaigns.block import Work
 from fkgen.study.campaigns.sums import Statistic, Sums
+from fkgen.study.campaigns.tally import SIGMAS
 from fkgen.study.comparisons.ranking import Estimate
 from fkgen.study.reports.jsonable import json_text
 from fkgen.trials.errors import error_signals
@@ -149,7 +150,7 @@ def tests_of(sums: Sums, spec: Spec, samples: int) -> dict[str, Test]:
         found[key] = Test(value, error, *(np.full(value.shape, each) for each in (expected, sign)))
     if not spec.faults.plain() or spec.filter.traits.told:  # else errors are no normal numbers
         found["coverage"] = _coverage(sums, samples)
-    if "excess" in sums.shapes:
+    if math.prod(sums.shapes["excess"]):
         found["calibration"] = _calibration(sums)
     return found
 

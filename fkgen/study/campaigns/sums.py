@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 
 Array = NDArray[np.float64]
-#: Numerator and denominator of a ratio of means, one of each for every trial, (M, ...).
-Pairs = Mapping[str, tuple[Array, Array]]
-
 _LARGEST = 1e290  # of a sum, so that sums of them do not overflow
 _SUMS = 5  # of a, b, a a, a b, b b: what a ratio of means and its standard error need
 
@@ -51,26 +48,20 @@ class Sums:
     parts: Array
 
     @classmethod
-    def of(cls, pairs: Pairs) -> Sums:
-        """The sums of a block of trials; those of a block are rounded, always in the same order.
+    def of(cls, trials: int, shapes: Mapping[str, tuple[int, ...]], sums: Array) -> Sums:
+        """The sums (5, N) of a block; they are rounded, always in the same order.
 
         Raises
         ------
         DataError
             If a square overflows.
         """
-        rows, shapes, trials = list[Array](), dict[str, tuple[int, ...]](), 0
-        for name, (above, below) in pairs.items():
-            a, b = np.broadcast_arrays(above, below)
-            trials, *shape = a.shape
-            shapes[name] = tuple(shape)
-            with np.errstate(over="ignore", invalid="ignore"):
-                rows += [each.sum(axis=0).ravel() for each in (a, b, a * a, a * b, b * b)]
-        sums = np.concatenate(rows)
         if not np.abs(sums).max(initial=0.0) < _LARGEST:
-            expected = "errors that can be squared: a plant or a filter that is not stable"
-            raise DataError("steps", given="errors of which squares overflow", expected=expected)
-        return cls(trials, shapes, sums[np.newaxis])
+            expected = "errors that can be squared: plant or filter are not stable"
+            raise DataError("steps", given="errors whose squares overflow", expected=expected)
+        widths = np.cumsum([math.prod(shape) for shape in shapes.values()])[:-1]
+        parts = [part.ravel() for part in np.split(sums, widths, axis=1)]
+        return cls(trials, shapes, np.concatenate(parts)[np.newaxis])
 
     def ratio(self, name: str) -> Statistic:
         """Sum of a over sum of b, with the standard error of a ratio of means (delta method).

@@ -22,8 +22,8 @@ Flags = NDArray[np.bool_]
 _VERDICTS = ("mode_probability", "fault_declared", "test_dof")
 PORTS = ("filtered_state", "filtered_covariance", "nis", *_VERDICTS)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
-_ROUNDED = 512.0
-_TINY = float(np.finfo(float).tiny)  # of a smaller pivot there is no inverse
+ROUNDED = 512.0
+TINY = float(np.finfo(float).tiny)  # of a smaller pivot there is no inverse
 #: A sensor is declared faulty when it is more probably so than not.
 _DECIDED = 0.5
 
@@ -51,13 +51,14 @@ class Scores(NamedTuple):
 class Outcome(NamedTuple):
     """A filter over M trials next to the truth, from some sample on."""
 
-    run: Run  # of all samples
+    run: Run  # of all samples, as the rest is but for the first two
     error: Array  # (M, T, ne)
     covariance: NDArray[np.floating]  # (M, T, ne, ne)
-    nees: tuple[Array, Array]  # (M,) each, summed over samples; dimensions that were summed
-    nis: tuple[Array, Array]  # the same of the innovation, and rows
+    rows: NDArray[np.int64]  # (M, T), rows of y that are there, of those that are tested
     used: Flags  # (M, T), samples whose innovation counts
-    detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
+    faults: Flags | None  # (M, T); None where there is nothing to detect
+    alarms: Flags | None  # (M, T); None where nothing is declared
+    decided: Flags | None  # (M, T), samples at which something is declared or not; None is all
 
 
 def score(
@@ -67,19 +68,23 @@ def score(
 
     A filter without modes declares a fault by a test of the NIS with this false alarm rate.
     """
-    found = outcome(compiled, given, drawn, skip, false_alarm)
+    found = outcome(compiled, given, drawn, false_alarm, skip=skip)
+    unit = float(np.finfo(found.covariance.dtype).eps)
+    nees = _over(*weighted_squares(found.error, found.covariance, unit))
+    counts = np.full((len(nees), 5), np.nan)
+    if found.faults is not None and found.alarms is not None:
+        counts = np.stack(detection(found.faults, found.alarms, skip, found.decided), axis=1)
     refused = found.run.refused.sum(axis=1).astype(np.float64)
-    squared = (found.error**2).mean(axis=1)
-    return Scores(squared, _over(*found.nees), _over(*found.nis), refused, found.detection)
+    return Scores((found.error**2).mean(axis=1), nees, _nis(found, skip), refused, counts)
 
 
 def outcome(
     compiled: CompiledFilter,
     given: FilterInputs,
     drawn: Simulation,
-    skip: int,
     false_alarm: float,
     *,
+    skip: int = 0,
     more: Sequence[str] = (),
 ) -> Outcome:
     """What `score` looks at; the run has ``more`` ports than those that scores need."""
@@ -89,29 +94,27 @@ def outcome(
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     states = drawn.spec.model.states
     error = errors_of(states, drawn.state[:, skip:], run["filtered_state"][:, skip:])
-    covariance = run["filtered_covariance"][:, skip:]
-    runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
-    nees = weighted_squares(error, covariance, float(np.finfo(covariance.dtype).eps))
+    rows = np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     host = len(given.tested) < given.y.shape[2]  # which always uses its rows
-    used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
-    nis = _nis(run, rows, skip, used)
-    counts, jump = np.full((runs, 5), np.nan), drawn.spec.faults.jump
+    used = run.status >= 0 if host else run.status == Status.OK.value
     half = 0.5 * np.arange(1, given.y.shape[2] + 1)
     limits = np.array([np.inf, *(2.0 * gammainccinv(half, false_alarm))])  # of 0, 1, ... rows
-    faults = _faulty(drawn)
-    alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
-    if faults is not None and alarms is not None:
-        tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
-        counts = np.stack(detection(faults, alarms, skip, tested), axis=1)
-    return Outcome(run, error, covariance, nees, nis, used, counts)
+    faults, jump = _faulty(drawn), drawn.spec.faults.jump
+    alarms = decided = None
+    if faults is not None:
+        alarms = _declared(run, limits, rows, 1 if jump is None else len(jump.modes))
+        decided = _positive(run, "test_dof")  # a filter with windows decides at their ends
+    covariance = run["filtered_covariance"][:, skip:]
+    return Outcome(run, error, covariance, rows, used, faults, alarms, decided)
 
 
-def _nis(run: Run, rows: NDArray[np.int64], skip: int, used: Flags) -> tuple[Array, Array]:
-    """Sums over samples that were used, and rows that were there."""
-    if "nis" not in run.ports:
-        return np.zeros(len(rows)), np.zeros(len(rows))
-    total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
-    return total, (rows[:, skip:] * used).sum(axis=1, dtype=np.float64)
+def _nis(found: Outcome, skip: int) -> Array:
+    """Sum over samples that were used, per row that was there."""
+    if "nis" not in found.run.ports:
+        return np.full(len(found.rows), np.nan)
+    used = found.used[:, skip:]
+    total = (found.run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
+    return _over(total, (found.rows[:, skip:] * used).sum(axis=1))
 
 
 def weighted_squares(
@@ -125,7 +128,7 @@ def weighted_squares(
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
     for j in range(e.shape[2]):
         pivot = left[..., j, j].copy()
-        there = pivot > np.maximum(_ROUNDED * unit * covariance[..., j, j], _TINY)
+        there = pivot > np.maximum(ROUNDED * unit * covariance[..., j, j], TINY)
         inverse = np.divide(1.0, pivot, out=np.zeros_like(pivot), where=there)
         total += e[..., j] ** 2 * inverse
         dimensions += there
@@ -146,7 +149,7 @@ def _faulty(simulation: Simulation) -> Flags | None:
     Actuators that fail at random and modes of the plant act on the state: no sample is good or bad
     by itself.
     """
-    if simulation.delta is not None:
+    if simulation.spec.faults.sensor is not None:
         return np.asarray(simulation.mode != 0)
     if simulation.arrival is not None:
         return ~simulation.arrival
@@ -156,16 +159,19 @@ def _faulty(simulation: Simulation) -> Flags | None:
     return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
 
 
-def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
+def _declared(
+    run: Run, limits: Array, rows: NDArray[np.int64], healthy: int
+) -> Flags | None:
     """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
 
-    ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
+    ``limits`` are those of the NIS by number of rows; the first ``healthy`` modes are those without
+    fault.
     """
     if "fault_declared" in run.ports:
         return _positive(run, "fault_declared")
     if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
-    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
+    return np.asarray(run["nis"] > limits[rows]) if "nis" in run.ports else None
 
 
 def _positive(run: Run, name: str) -> Flags | None:
