@@ -11,7 +11,6 @@ from contextvars import ContextVar
 from fkgen.console import Advance
 from fkgen.errors import of_type
 
-
 _ALONE: ContextVar[bool] = ContextVar("alone", default=False)
 
 

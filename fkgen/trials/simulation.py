@@ -190,7 +190,12 @@ class Drawing:
         values = tuple(self.params.values())
         trials = _drawn(request, self.compiled, driving, values, shown=shown)
         return Simulation(
-            request, y=trials.measurement, u=told, driving=driving, params=self.params, trials=trials
+            request,
+            y=trials.measurement,
+            u=told,
+            driving=driving,
+            params=self.params,
+            trials=trials,
         )
 
 

@@ -17,8 +17,6 @@ from fkgen.study.comparisons.candidates import filter_inputs
 from fkgen.study.comparisons.scores import outcome
 from fkgen.trials.simulation import Drawing, Simulation
 
-Array = NDArray[np.float64]
-
 #: Of the test of the NIS by which a filter without modes declares a fault.
 FALSE_ALARM = 0.01
 
@@ -28,7 +26,7 @@ _LANES = 8
 _SAMPLES, _ROOM = 50_000, 1_000_000
 
 
-class Stopped(Exception):  # noqa: N818 - nobody's error
+class Stopped(Exception):
     """Somebody asked to stop."""
 
 
@@ -56,7 +54,7 @@ class Work:
     modes: int
     trials: int
     size: int
-    params: dict[str, Array]
+    params: dict[str, NDArray[np.floating]]
 
     @property
     def blocks(self) -> int:

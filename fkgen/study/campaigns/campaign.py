@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fkgen.console import progressing
+from fkgen.console import Advance, progressing
 from fkgen.errors import DataError, of_type
 from fkgen.pipeline import build
 from fkgen.problem import Spec
@@ -26,8 +27,9 @@ from fkgen.trials.simulation import Request, counted, drawing_of
 
 #: Trials before a campaign may stop by its precision, and how it grows until it is asked again.
 _FEWEST, _GROWTH = 100, 1.25
-#: Blocks that are computed in one go at most, so that progress is seen and little is lost.
-_RANGE = 16
+#: Blocks that are computed in one go at most, here and by a worker of a cluster: progress is to be
+#: seen, little is to be lost, and a task is to take longer than to send it.
+_RANGE, _TASK = 16, 64
 
 
 def montecarlo(
@@ -87,47 +89,53 @@ def montecarlo(
     path = None
     if checkpoint is not None:
         path = Path(of_type("checkpoint", checkpoint, str | os.PathLike, "the path of a file"))
-    work = work_of(spec, truth, counted("trials", trials), counted("steps", steps), seed, u, params)
+    design = as_spec(spec).whole
+    plant = design if truth is None else as_spec(truth, "truth")
+    _check_sizes(design, plant)
+    request = Request(plant, counted("trials", trials), counted("steps", steps), seed, 0)
+    work = work_of(design, request, u, params)
     kept = Checkpoint(path, work)
     with progressing("montecarlo", trials, shown=progress) as advance:
         advance(kept.ledger.blocks * work.size)
-        sums = _kept(work, kept, workers, scheduler, precision, advance)
+        sums = _Going(work, kept, precision, advance).to_the_end(workers, scheduler)
     return campaign_of(work, sums)
 
 
 def work_of(
-    spec: Spec,
-    truth: Spec | None,
-    trials: int,
-    steps: int,
-    seed: int,
-    u: ArrayLike | None,
-    params: Mapping[str, ArrayLike] | None,
+    design: Spec,
+    request: Request,
+    u: ArrayLike | None = None,
+    params: Mapping[str, ArrayLike] | None = None,
 ) -> Work:
-    """A campaign, checked and compiled."""
-    design = as_spec(spec).whole
-    plant = design if truth is None else as_spec(truth, "truth")
-    _check_sizes(design, plant)
+    """A campaign of a filter over the trials of a request, checked and compiled."""
+    plant = request.spec
     given = {} if params is None else of_type("params", params, Mapping, "a mapping of names")
     own, of_plant = ({each.name for each in s.stated_parameters} for s in (design, plant))
     told = {name: value for name, value in given.items() if name in of_plant or name not in own}
-    drawing = drawing_of(Request(plant, trials, steps, seed, 0), u, told)
+    drawing = drawing_of(request, u, told)
     compiled = build(design)
     others = [(e.name, e.default) for e in design.stated_parameters if e.name not in of_plant]
     left = {name: given[name] for name, _ in others if name in given}
-    values = record.values_of(others, left, steps, np.float64)
+    values = record.values_of(others, left, request.steps, np.float64)
     more = dict(zip((name for name, _ in others), values, strict=True))
-    soft = design.faults.soft
+    soft, modes = design.faults.soft, modes_of(compiled, plant)
     tested = design.model.ny if soft is None else len(soft.host)
-    modes = modes_of(compiled, plant)
-    tally = Tally(sizes_of(compiled, design.model.ne, tested, modes))
-    size = block_size(design, steps)
-    return Work(design, compiled, drawing, tally, modes, trials, size, more)
+    return Work(
+        spec=design,
+        compiled=compiled,
+        drawing=drawing,
+        tally=Tally(sizes_of(compiled, design.model.ne, tested, modes)),
+        modes=modes,
+        trials=request.runs,
+        size=block_size(design, request.steps),
+        params=more,
+    )
 
 
 def _check_sizes(spec: Spec, truth: Spec) -> None:
     sizes = [
-        f"{s.model.nx} states, {s.model.nu} inputs, {s.model.ny} measurements" for s in (truth, spec)
+        f"{s.model.nx} states, {s.model.nu} inputs, {s.model.ny} measurements"
+        for s in (truth, spec)
     ]
     kinds = [[(e.wrap, e.manifold) for e in s.model.states] for s in (truth, spec)]
     if sizes[0] != sizes[1]:
@@ -148,59 +156,55 @@ def _positive(what: str, value: Any) -> float:
     return number
 
 
-def _kept(
-    work: Work,
-    kept: Checkpoint,
-    workers: int | None,
-    scheduler: Any,
-    precision: float | None,
-    advance: Any,
-) -> Sums:
-    """The sums, by way of a checkpoint, which is written whatever happens."""
-    try:
-        with engine_of(work, workers, scheduler) as (engine, threads):
-            return _summed(work, kept, engine, threads, precision, advance)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted{_how_to_go_on(kept, work)}") from None
-    except Lost as lost:
-        given = f"{lost.given}{_how_to_go_on(kept, work)}"
-        raise DataError(lost.what, given=given, expected=lost.expected) from None
-    finally:
-        kept.write()
+@dataclass(frozen=True, slots=True, eq=False)
+class _Going:
+    """A campaign on its way."""
 
+    work: Work
+    kept: Checkpoint
+    precision: float | None
+    advance: Advance
 
-def _how_to_go_on(kept: Checkpoint, work: Work) -> str:
-    if kept.path is None:
-        return "; nothing is kept without a checkpoint"
-    done = kept.ledger.blocks * work.size
-    return f"; {kept.path} holds {done} of {work.trials} trials: the same call goes on from there"
+    def to_the_end(self, workers: int | None, scheduler: Any) -> Sums:
+        """The sums, by way of the checkpoint, which is written whatever happens."""
+        try:
+            with engine_of(self.work, workers, scheduler) as (engine, threads):
+                most = _RANGE if scheduler is None else _TASK
+                return self._summed(engine, threads, most)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted{self._how_to_go_on}") from None
+        except Lost as lost:
+            given = f"{lost.given}{self._how_to_go_on}"
+            raise DataError(lost.what, given=given, expected=lost.expected) from None
+        finally:
+            self.kept.write()
 
+    @property
+    def _how_to_go_on(self) -> str:
+        if self.kept.path is None:
+            return "; nothing is kept without a checkpoint"
+        done = self.kept.ledger.blocks * self.work.size
+        there = f"{done} of {self.work.trials} trials"
+        return f"; {self.kept.path} holds {there}: the same call goes on from there"
 
-def _summed(
-    work: Work,
-    kept: Checkpoint,
-    engine: Engine,
-    threads: int,
-    precision: float | None,
-    advance: Any,
-) -> Sums:
-    """The sums of whole blocks, until they are precise or all there; then the smaller last one."""
-    whole = work.trials // work.size
-    for stop in _ends(work, whole, precision):
-        size = min(_RANGE, max(1, stop // (4 * threads)))
-        missing = [part for each in kept.ledger.missing(stop) for part in _parts(each, size)]
-        for blocks, sums in engine(missing):
-            kept.add(blocks, sums)
-            advance(sums.trials)
-        so_far = kept.ledger.total()
-        if precision is not None and so_far is not None and _precise(so_far, precision):
-            return so_far
-    found = [] if (total := kept.ledger.total()) is None else [total]
-    if whole < work.blocks:
-        for _, sums in engine([range(whole, work.blocks)]):
-            found.append(sums)
-            advance(sums.trials)
-    return merged(found)
+    def _summed(self, engine: Engine, threads: int, most: int) -> Sums:
+        """The sums of whole blocks, until they are precise or all there; then the smaller last."""
+        work, ledger = self.work, self.kept.ledger
+        whole = work.trials // work.size
+        for stop in _ends(work, whole, self.precision):
+            size = min(most, max(1, stop // (4 * threads)))
+            missing = [part for each in ledger.missing(stop) for part in _parts(each, size)]
+            for blocks, sums in engine(missing):
+                self.kept.add(blocks, sums)
+                self.advance(sums.trials)
+            so_far = ledger.total()
+            if self.precision is not None and so_far and _precise(so_far, self.precision):
+                return so_far
+        found = [] if (total := ledger.total()) is None else [total]
+        if whole < work.blocks:
+            found += [sums for _, sums in engine([range(whole, work.blocks)])]
+            self.advance(work.trials - whole * work.size)
+        return merged(found)
 
 
 def _ends(work: Work, whole: int, precision: float | None) -> Iterator[int]:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
-    Executor,
     Future,
     ThreadPoolExecutor,
     wait,
@@ -17,11 +16,11 @@ from contextlib import contextmanager
 from threading import Event
 from typing import Any
 
-from fkgen.errors import DataError, FkgenError
+from fkgen.errors import DataError
 from fkgen.runtime import cache
 from fkgen.runtime.blocks import cores
 from fkgen.runtime.record import whole
-from fkgen.study.campaigns.block import Stopped, Work
+from fkgen.study.campaigns.block import Work
 from fkgen.study.campaigns.sums import Sums
 from fkgen.version import __version__
 
@@ -30,7 +29,7 @@ Engine = Callable[[Iterable[range]], Iterator[tuple[range, Sums]]]
 
 #: Seconds to wait for a scheduler, and for a worker where there is none.
 PATIENCE = 30.0
-_TICK = 0.5  # seconds between looks at whether there is still anybody
+_TICK, _PAUSE = 0.5, 2.0  # seconds of a wait, and between looks at whether anybody is there
 
 
 class Lost(DataError):
@@ -67,7 +66,7 @@ def _threads(work: Work, threads: int) -> Iterator[Engine]:
     with ThreadPoolExecutor(threads, "fkgen-montecarlo") as pool:
         try:
             yield lambda ranges: _finished(
-                pool, lambda blocks: pool.submit(work.sums, blocks, stop), ranges, 2 * threads
+                lambda blocks: pool.submit(work.sums, blocks, stop), ranges, 2 * threads
             )
         finally:
             stop.set()
@@ -75,7 +74,6 @@ def _threads(work: Work, threads: int) -> Iterator[Engine]:
 
 
 def _finished(
-    pool: Executor,
     submit: Callable[[range], Future[Sums]],
     ranges: Iterable[range],
     most: int,
@@ -124,9 +122,7 @@ def _cluster(work: Work, scheduler: Any) -> Iterator[tuple[Engine, int]]:
                 return found
 
             try:
-                yield from _finished(pool, submit, ranges, 4 * threads, _watch(client))
-            except (FkgenError, Stopped):
-                raise
+                yield from _finished(submit, ranges, 4 * threads, _watch(client))
             except (distributed.KilledWorker, CancelledError, OSError) as error:
                 raise _lost(error) from None
 
@@ -152,10 +148,13 @@ def _client(distributed: Any, scheduler: Any) -> tuple[Any, bool]:
 
 def _watch(client: Any) -> Callable[[], None]:
     """What raises where no scheduler or no worker has been there for a while."""
-    last = time.monotonic()
+    last = asked = time.monotonic()
 
     def look() -> None:
-        nonlocal last
+        nonlocal last, asked
+        if time.monotonic() - asked < _PAUSE:
+            return
+        asked = time.monotonic()
         if client.status == "running" and client.scheduler_info(n_workers=-1).get("workers"):
             last = time.monotonic()
         elif client.status in {"closed", "closing"} or time.monotonic() - last > PATIENCE:

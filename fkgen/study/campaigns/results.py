@@ -32,8 +32,9 @@ _MORE = ("detected", "sensor_nis", "whiteness")
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Statistics of x(k|k) over all samples of all trials, each with ``value`` and
-    ``standard_error`` of the same shape.
+    """Statistics of x(k|k) over all samples of all trials.
+
+    Each has ``value`` and ``standard_error`` of the same shape.
 
     Attributes
     ----------
@@ -47,10 +48,11 @@ class Campaign:
         Of mode i and bin b of its probability: how often it is the true mode. (0, 10) without
         modes; ``predicted`` is the mean probability in the bin.
     delay, false_alarm, detected : Statistic, scalar
-        Samples between a fault and its declaration; declarations per sample without fault; share of
-        faults that were declared before they ended. NaN where nothing is declared.
+        Samples between a fault and its declaration; declarations per sample without fault; share
+        of faults that were declared before they ended. NaN where nothing is declared.
     sensor_nis, whiteness : Statistic, (p,)
-        Mean square of each row's normalised innovation (1), and its correlation with the next (0).
+        Mean square of each row's normalised innovation (1), and its correlation with the next
+        one (0).
     verdicts : mapping of str to str
         By statistic "consistent", "optimistic" (errors are larger than the filter says) or
         "conservative".
@@ -147,6 +149,8 @@ def tests_of(sums: Sums, spec: Spec, samples: int) -> dict[str, Test]:
         ("whiteness", "whiteness", 0.0, 1.0),
     ):
         value, error = sums.ratio(of)
+        if key == "sensor_nis" and np.size(value) == 1:
+            continue  # it is the nis
         found[key] = Test(value, error, *(np.full(value.shape, each) for each in (expected, sign)))
     if not spec.faults.plain() or spec.filter.traits.told:  # else errors are no normal numbers
         found["coverage"] = _coverage(sums, samples)

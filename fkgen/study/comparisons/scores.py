@@ -159,9 +159,7 @@ def _faulty(simulation: Simulation) -> Flags | None:
     return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
 
 
-def _declared(
-    run: Run, limits: Array, rows: NDArray[np.int64], healthy: int
-) -> Flags | None:
+def _declared(run: Run, limits: Array, rows: NDArray[np.int64], healthy: int) -> Flags | None:
     """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
 
     ``limits`` are those of the NIS by number of rows; the first ``healthy`` modes are those without
