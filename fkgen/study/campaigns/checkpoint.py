@@ -82,7 +82,8 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | None, work: Work) -> None:
-        self.path, self._facts, self._written = path, _facts(work), time.monotonic()
+        self.path, self._facts = path, _facts(work)
+        self._written = -_EVERY  # the first time at once: whether it can be written shows early
         self.ledger = Ledger()
         if path is not None:
             refuse_existing(path, force=True)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 
 Array = NDArray[np.float64]
+_ROUNDED = Fraction(1, 2**50)
 _LARGEST = 1e290  # of a sum, so that sums of them do not overflow
 _SUMS = 5  # of a, b, a a, a b, b b: what a ratio of means and its standard error need
 
@@ -101,8 +102,10 @@ def _ratio(sums: Sequence[Fraction], trials: int) -> tuple[float, float]:
     r = a / b
     if trials < 2:
         return float(r), math.nan
-    spread = (aa - 2 * r * ab + r * r * bb) * Fraction(trials, trials - 1) / (b * b)
-    return float(r), math.sqrt(max(0.0, float(spread)))
+    left = aa - 2 * r * ab + r * r * bb
+    if left <= _ROUNDED * aa:  # the squares were rounded: nothing is left but that
+        return float(r), 0.0
+    return float(r), math.sqrt(left * Fraction(trials, trials - 1) / (b * b))
 
 
 def merged(sums: Iterable[Sums]) -> Sums:
