@@ -49,6 +49,8 @@ def campaigned(
     else:
         pairs = [text.partition("=") for text in over]
         keys = {key.strip(): values for key, _, values in pairs}
+        if len(keys) < len(pairs):
+            raise DataError("--sweep", given="a key twice", expected="each key once")
         if plot is not None and len(keys) > 2:
             given_, expected = f"a picture of {len(keys)} sweeps", "one or two, or no --plot"
             raise OutputError(str(plot), given=given_, expected=expected)
