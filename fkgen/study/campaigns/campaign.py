@@ -47,58 +47,57 @@ def montecarlo(
     precision: float | None = None,
     progress: bool = False,
 ) -> Campaign:
-    """Filter simulated trials and sum up what the filter made of them; no trial is stored.
+    """Filter simulated trials and sum up what comes of them: the same digits whoever computes.
 
     Parameters
     ----------
     spec : Spec
         The filter.
     trials, steps, seed : int
-        M trials of T samples; they are those of ``simulate(truth or spec, trials, steps, seed)``.
+        M trials of T samples, those of ``simulate(truth or spec, trials, steps, seed)``.
     u, params
         Inputs and run-time parameters, as for `simulate`.
     truth : Spec, optional
-        The plant and its faults, if they are not those of ``spec``: of the same sizes.
+        The plant, of the same sizes; default: that of ``spec``.
     workers : int, optional
         Threads; default: one for each core.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers compute instead (``fkgen[cluster]``); or a
-        ``distributed.Client``.
+    scheduler : str or distributed.Client, optional
+        Of a Dask cluster, whose workers compute instead.
     checkpoint : path, optional
-        File in which sums are kept; a campaign goes on from it, also with more trials.
+        File that keeps the sums, to go on from, also with more trials.
     precision : float, optional
-        Stop when every relative standard error of the rmse is below it; ``trials`` is the most.
-    progress : bool
-        Show how far it is, on stderr.
-
-    Returns
-    -------
-    Campaign
-        The same digits whatever the workers, and whatever stopped them in between.
+        Stop when every relative standard error of the rmse is below it.
+    progress : bool, on stderr
 
     Raises
     ------
     SpecError, DataError, OutputError
         If something does not fit, the plant overflows, or a file is none of ours.
-    KeyboardInterrupt
-        After the checkpoint was written, which its text names.
     """
     check_workers(workers, scheduler)
-    if precision is not None:
-        precision = _positive("precision", precision)
-    path = None
-    if checkpoint is not None:
-        path = Path(of_type("checkpoint", checkpoint, str | os.PathLike, "the path of a file"))
-    design = as_spec(spec).whole
-    plant = design if truth is None else as_spec(truth, "truth")
-    _check_sizes(design, plant)
-    request = Request(plant, counted("trials", trials), counted("steps", steps), seed, 0)
-    work = work_of(design, request, u, params)
+    enough = None if precision is None else _positive("precision", precision)
+    path = None if checkpoint is None else _path(checkpoint)
+    work = _asked(spec, truth, (trials, steps, seed), u, params)
     kept = Checkpoint(path, work)
     with progressing("montecarlo", trials, shown=progress) as advance:
         advance(kept.ledger.blocks * work.size)
-        sums = _Going(work, kept, precision, advance).to_the_end(workers, scheduler)
+        sums = _Going(work, kept, enough, advance).to_the_end(workers, scheduler)
     return campaign_of(work, sums)
+
+
+def _asked(
+    spec: Spec,
+    truth: Spec | None,
+    size: tuple[int, int, int],
+    u: ArrayLike | None,
+    params: Mapping[str, ArrayLike] | None,
+) -> Work:
+    design = as_spec(spec).whole
+    plant = design if truth is None else as_spec(truth, "truth")
+    _check_sizes(design, plant)
+    trials, steps, seed = size
+    request = Request(plant, counted("trials", trials), counted("steps", steps), seed, 0)
+    return work_of(design, request, u, params)
 
 
 def work_of(
@@ -143,6 +142,10 @@ def _check_sizes(spec: Spec, truth: Spec) -> None:
     if kinds[0] != kinds[1]:
         given, expected = "other states that are angles or attitudes", "those of the filter"
         raise DataError("truth", given=given, expected=expected)
+
+
+def _path(checkpoint: Any) -> Path:
+    return Path(of_type("checkpoint", checkpoint, str | os.PathLike, "the path of a file"))
 
 
 def _positive(what: str, value: Any) -> float:

@@ -22,6 +22,7 @@ from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, save, styled
 
+_DARK = 0.6  # share of the largest value from which on a cell is dark
 _COLOURS = (BLUE, ORANGE, "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1")
 
 
@@ -163,7 +164,9 @@ def _draw_map(figure: Figure, axes: Axes, found: Sweep) -> None:
     image = axes.imshow(values, cmap="RdBu_r", norm=CenteredNorm(), origin="lower", aspect="auto")
     for (i, j), each in np.ndenumerate(found.cells):
         text = f"{each.nees.value:.3g}" if isinstance(each, Campaign) else "no such\nplant"
-        axes.text(j, i, text, ha="center", va="center", fontsize=7)
+        dark = np.abs(values[i, j]) > _DARK * np.nanmax(np.abs(values))
+        colour = "white" if dark else "black"
+        axes.text(j, i, text, ha="center", va="center", fontsize=7, color=colour)
         if found.consistent[i, j]:
             axes.add_patch(_frame(j, i))
     bar = figure.colorbar(image, ax=axes)

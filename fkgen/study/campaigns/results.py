@@ -146,7 +146,7 @@ def tests_of(sums: Sums, spec: Spec, samples: int) -> dict[str, Test]:
         ("nees", "nees", 1.0, 1.0),
         ("nis", "nis", 1.0, 1.0),
         ("sensor_nis", "sensor_nis", 1.0, 1.0),
-        ("whiteness", "whiteness", 0.0, 1.0),
+        ("whiteness", "whiteness", 0.0, 1.0),  # the gain is too small
     ):
         value, error = sums.ratio(of)
         if key == "sensor_nis" and np.size(value) == 1:
@@ -220,24 +220,37 @@ def _verdict(scores: Array, limit: float) -> str:
 
 
 def table_of(found: Campaign) -> tuple[Sequence[str], list[list[str]]]:
-    """Head and rows of a table: statistic, of what, estimate, verdict."""
+    """Head and rows of a table: statistic, of what, estimate, verdict.
+
+    Of each mode's calibration the bin that is farthest off is shown.
+    """
     rows = list[list[str]]()
 
-    def add(key: str, of: Sequence[str], statistic: Statistic, verdict: str = "") -> None:
+    def add(key: str, of: Sequence[str], statistic: Statistic) -> None:
+        verdict = found.verdicts.get(key, "")
         values, errors = (np.ravel(each).tolist() for each in statistic)
         for name, value, error in zip(of, values, errors, strict=True):
             if math.isfinite(value):
                 rows.append([key, name, str(Estimate(value, error)), verdict])
+                verdict = ""
 
-    verdicts = found.verdicts
     within = [f"{name}, {k} sigma" for name in found.states for k in SIGMAS]
     names = {"rmse": found.states, "bias": found.states, "coverage": within}
     names |= {"sensor_nis": found.outputs, "whiteness": found.outputs}
     order = ("rmse", "bias", "nees", "nis", "sensor_nis", "whiteness", "coverage")
     for key in (*order, "detected", "delay", "false_alarm"):
-        add(key, names.get(key, [""]), getattr(found, key), verdicts.get(key, ""))
-    for i, (hits, errors) in enumerate(zip(*found.calibration, strict=True)):
-        predicted = found.predicted.value[i]
-        of = [f"mode {i}, p = {p:.2f}" for p in predicted]
-        add("calibration", of, Statistic(hits, errors), verdicts.get("calibration", ""))
+        add(key, names.get(key, [""]), getattr(found, key))
+    farthest = [_farthest(found, i) for i in range(len(found.calibration.value))]
+    of = [f"mode {i} where p = {p:.2f}" for i, (p, _, _) in enumerate(farthest)]
+    add("calibration", of, Statistic(*np.array(farthest).reshape(-1, 3).T[1:]))
     return ("statistic", "of", "estimate", "verdict"), rows
+
+
+def _farthest(found: Campaign, mode: int) -> tuple[float, float, float]:
+    """Probability, frequency and its error in the bin that is farthest off, by its error."""
+    p = found.predicted.value[mode]
+    value, error = (each[mode] for each in found.calibration)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = np.nan_to_num(np.abs(value - p) / error, posinf=0.0)
+    i = int(np.argmax(far))
+    return float(p[i]), float(value[i]), float(error[i])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -124,24 +123,14 @@ def sweep(
         If a key is unknown or a range none. A plant that cannot be is a cell with the reason.
     """
     plant = as_spec(spec) if truth is None else as_spec(truth, "truth")
-    of_type("over", over, Mapping, "a mapping of keys to ranges")
-    if not over:
-        raise DataError("over", given="nothing", expected=f"a key and a range: {_FORM}")
-    axes = tuple(_axis(key, given) for key, given in over.items())
-    for axis in axes:
-        _changed(plant.to_dict(), axis, 1.0)
-    shape = tuple(len(axis.values) for axis in axes)
-    if math.prod(shape) > LARGEST:
-        given = f"{math.prod(shape)} plants"
-        raise DataError("sweep", given=given, expected=f"at most {LARGEST}")
-    cells, errors = np.empty(shape, object), list[UserError]()
+    axes = _axes(plant, over)
+    cells, errors = np.empty([len(axis.values) for axis in axes], object), list[UserError]()
     with progressing("plants", cells.size, shown=progress) as advance:
-        for at in itertools.product(*map(range, shape)):
+        for at in np.ndindex(cells.shape):
             values = [axis.values[i] for axis, i in zip(axes, at, strict=True)]
             try:
-                cells[at] = montecarlo(
-                    spec, trials, steps, seed, truth=_plant(plant, axes, values), **options
-                )
+                varied = _plant(plant, axes, values)
+                cells[at] = montecarlo(spec, trials, steps, seed, truth=varied, **options)
             except UserError as error:
                 errors.append(error)
                 cells[at] = str(error)
@@ -149,6 +138,19 @@ def sweep(
     if len(errors) == cells.size:
         raise errors[0]
     return Sweep(spec.name, axes, cells)
+
+
+def _axes(plant: Spec, over: Mapping[str, Any]) -> tuple[Axis, ...]:
+    """Keys that the plant has, with what they take."""
+    of_type("over", over, Mapping, "a mapping of keys to ranges")
+    if not over:
+        raise DataError("over", given="nothing", expected=f"a key and a range: {_FORM}")
+    axes = tuple(_axis(key, given) for key, given in over.items())
+    for axis in axes:
+        _changed(plant.to_dict(), axis, 1.0)
+    if (count := math.prod(len(axis.values) for axis in axes)) > LARGEST:
+        raise DataError("sweep", given=f"{count} plants", expected=f"at most {LARGEST}")
+    return axes
 
 
 def _plant(plant: Spec, axes: Sequence[Axis], values: Sequence[float]) -> Spec:
@@ -234,8 +236,12 @@ def table_of(found: Sweep) -> tuple[Sequence[str], list[list[str]]]:
             rows.append([*row, *("-" for _ in head[len(row) : -1]), f"no such plant: {each}"])
             continue
         pairs = [*zip(*each.rmse, strict=True), each.nees, each.nis]
-        off = [
-            f"{key}: {verdict}" for key, verdict in each.verdicts.items() if verdict != CONSISTENT
-        ]
-        rows.append([*row, *(str(Estimate(*pair)) for pair in pairs), "; ".join(off) or CONSISTENT])
+        rows.append([*row, *(str(Estimate(*pair)) for pair in pairs), _summary(each)])
     return head, rows
+
+
+def _summary(found: Campaign) -> str:
+    """What is not consistent, by verdict."""
+    kinds = [kind for kind in dict.fromkeys(found.verdicts.values()) if kind != CONSISTENT]
+    keys = {kind: [k for k, each in found.verdicts.items() if each == kind] for kind in kinds}
+    return "; ".join(f"{kind}: {', '.join(keys[kind])}" for kind in kinds) or CONSISTENT
