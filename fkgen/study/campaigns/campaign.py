@@ -76,9 +76,8 @@ def montecarlo(
     """
     check_workers(workers, scheduler)
     enough = None if precision is None else _positive("precision", precision)
-    path = None if checkpoint is None else _path(checkpoint)
     work = _asked(spec, truth, (trials, steps, seed), u, params)
-    kept = Checkpoint(path, work)
+    kept = Checkpoint(None if checkpoint is None else _path(checkpoint), work)
     with progressing("montecarlo", trials, shown=progress) as advance:
         advance(kept.ledger.blocks * work.size)
         sums = _Going(work, kept, enough, advance).to_the_end(workers, scheduler)
