@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from fkgen.problem import Spec, load
     from fkgen.runtime.compiled import CompiledFilter
     from fkgen.runtime.results import Run, Snapshot
+    from fkgen.study.campaigns.campaign import montecarlo
+    from fkgen.study.campaigns.results import Campaign
+    from fkgen.study.campaigns.sweep import Sweep, sweep
     from fkgen.study.comparisons.comparison import compare
     from fkgen.study.comparisons.ranking import Comparison
     from fkgen.study.diagnostics.check import Finding, Report, check
@@ -47,6 +50,9 @@ _HOMES = {
     "fkgen.pipeline": ("validate", "generate", "compile", "build"),
     "fkgen.study.diagnostics.check": ("check", "Report", "Finding"),
     "fkgen.trials.simulation": ("simulate", "Simulation"),
+    "fkgen.study.campaigns.campaign": ("montecarlo",),
+    "fkgen.study.campaigns.results": ("Campaign",),
+    "fkgen.study.campaigns.sweep": ("sweep", "Sweep"),
     "fkgen.study.comparisons.comparison": ("compare",),
     "fkgen.study.comparisons.ranking": ("Comparison",),
     "fkgen.study.effects.fault_effect": ("fault_effect",),
@@ -61,39 +67,14 @@ _HOMES = {
     "fkgen.runtime.results": ("Run", "Snapshot"),
 }
 
-__all__ = [
-    "Autocovariance",
-    "Claim",
-    "Comparison",
-    "CompiledFilter",
-    "Detectability",
-    "FaultEffect",
-    "Finding",
-]
-__all__ += [
-    "Fit",
-    "Profile",
-    "Report",
-    "Run",
-    "Simulation",
-    "Snapshot",
-    "Source",
-    "Spec",
-    "Validated",
-]
+__all__ = ["Autocovariance", "Campaign", "Claim", "Comparison", "CompiledFilter", "Detectability"]
+__all__ += ["FaultEffect", "Finding", "Fit", "Profile", "Report", "Run", "Simulation", "Snapshot"]
+__all__ += ["Source", "Spec", "Sweep", "Validated"]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
-__all__ += [
-    "autocovariance",
-    "build",
-    "check",
-    "compare",
-    "compile",
-    "detectability",
-    "fault_effect",
-    "fit",
-]
-__all__ += ["generate", "load", "profiles", "simulate", "validate"]
+__all__ += ["autocovariance", "build", "check", "compare", "compile", "detectability"]
+__all__ += ["fault_effect", "fit", "generate", "load", "montecarlo", "profiles", "simulate"]
+__all__ += ["sweep", "validate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -38,8 +38,8 @@ class _OneLine(click.Group):
         try:
             result = super().invoke(ctx)
             sys.stdout.flush()
-        except KeyboardInterrupt:
-            _fail(ctx, "interrupted", status=_INTERRUPTED)
+        except KeyboardInterrupt as interrupt:
+            _fail(ctx, str(interrupt) or "interrupted", status=_INTERRUPTED)
         except click.UsageError as error:
             path = error.ctx.command_path if error.ctx else ctx.command_path
             text = error.format_message().replace(". Did", "; did").rstrip(".?")
@@ -148,6 +148,7 @@ def main() -> None:
     fkgen fit motor.toml record.csv  parameters from records
     fkgen fault-effect motor.toml    what a fault does to the estimate
     fkgen compare motor.toml         which family to take
+    fkgen montecarlo motor.toml      is the filter right about its errors?
     """  # noqa: D301 - \b is for click
 
 
@@ -418,6 +419,38 @@ def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
     found = compared(specs, say=_say, **options)
     lines = [*(f"note: {note}" for note in found.notes), f"\n{found.recommendation}"]
     _tell(found, table_of(found), lines, as_json=as_json)
+
+
+@main.command()
+@_SPEC
+@click.option("--trials", default=1000, help="Default 1000.")
+@click.option("--steps", default=200, help="Samples of each; default 200.")
+@_SEED
+@_INPUTS
+@click.option("--truth", type=Path, help="Spec of the plant, if it is not that of SPEC.")
+@click.option("--sweep", "over", multiple=True, help="KEY=0.5:0.95:10, KEY=0.5x:2x:5; repeat.")
+@click.option("--workers", type=int, help="Threads; default: one for each core.")
+@click.option("--scheduler", help="Of a Dask cluster: tcp://10.0.0.1:8786.")
+@click.option("--checkpoint", type=Path, help="File to keep sums in, and to go on from.")
+@click.option("--precision", type=float, help="Relative error of the rmse that is enough: 0.01.")
+@_JSON
+@_PLOT
+@_FORCE
+def montecarlo(spec: Spec, *, as_json: bool, **options: Any) -> None:
+    """Say over many trials how large the errors of SPEC are, and whether it is right about them.
+
+    The status is 0 if every verdict is consistent. A sweep varies the plant, not the filter.
+    """
+    from fkgen.study.campaigns.report import campaigned
+    from fkgen.study.campaigns.results import Campaign, table_of
+    from fkgen.study.campaigns.sweep import table_of as table_of_sweep
+
+    found = campaigned(spec, **options)
+    if isinstance(found, Campaign):
+        _tell(found, table_of(found), (), as_json=as_json, names=2)
+        sys.exit(0 if found.consistent else 1)
+    _tell(found, table_of_sweep(found), (), as_json=as_json)
+    sys.exit(0 if found.consistent.all() else 1)
 
 
 @main.command()

@@ -40,17 +40,25 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
 @contextmanager
 def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
     """A function to call with the number of pieces done since; only a terminal shows the bar."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    screen = console(err=True)
-    if not (shown and (screen.is_terminal or screen.is_jupyter)):
+    screen = console(err=True) if shown else None
+    if screen is None or not (screen.is_terminal or screen.is_jupyter):
         yield lambda _: None
         return
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),
         TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
     )
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task(title, total=total)

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 from fkgen.console import Advance
 from fkgen.errors import of_type
+
+_ALONE: ContextVar[bool] = ContextVar("alone", default=False)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Whatever is done in blocks here is done by this thread: others have work of their own."""
+    token = _ALONE.set(True)
+    try:
+        yield
+    finally:
+        _ALONE.reset(token)
 
 
 def cores() -> int:
@@ -24,10 +38,11 @@ def in_blocks(
     if advance is not None:
         of_type("advance", advance, Callable, "a function of one number, or None")
     blocks = [(start, min(start + size, total)) for start in range(0, total, size)]
-    if len(blocks) == 1:  # a thread takes longer to begin than most single blocks to end
-        work(*blocks[0])
-        if advance is not None:
-            advance(total)
+    if len(blocks) == 1 or _ALONE.get():
+        for start, stop in blocks:
+            work(start, stop)
+            if advance is not None:
+                advance(stop - start)
         return
     with ThreadPoolExecutor(max(1, min(cores(), len(blocks)))) as pool:
         waiting = {pool.submit(work, *block): block for block in blocks}

@@ -375,7 +375,7 @@ class CompiledFilter:
 
         files = self.folder.glob("*.[chj]*")
         texts = {path.name: path.read_text(encoding="utf-8") for path in files}
-        return revived, (self.folder.name, texts, self.snapshot())
+        return revived, (self.folder.name, texts, cache.processor(), self.snapshot())
 
     def state(self, name: str) -> Array:
         """Writable view of one stored member of the instance, packed as in C."""

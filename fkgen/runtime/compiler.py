@@ -18,7 +18,7 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.layout import Layout, layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from fkgen.backend.source import Source
     from fkgen.runtime.results import Snapshot
@@ -112,13 +112,14 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
 
 
 def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler) -> Path:
-    def fill(folder: Path) -> None:
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-        record = folder / f"{layout.name}_record.c"
-        compile_shared(compiler, record, folder / cache.LIBRARY, statements=layout.statements)
+    return cache.store(key, lambda folder: _fill(folder, texts, layout, compiler))
 
-    return cache.store(key, fill)
+
+def _fill(folder: Path, texts: Mapping[str, str], layout: Layout, compiler: Compiler) -> None:
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    record = folder / f"{layout.name}_record.c"
+    compile_shared(compiler, record, folder / cache.LIBRARY, statements=layout.statements)
 
 
 def lanes_library(source: Path, statements: int, *, build: bool) -> Path | None:
@@ -140,14 +141,31 @@ def lanes_library(source: Path, statements: int, *, build: bool) -> Path | None:
         return None
 
 
-def revived(key: str, texts: Mapping[str, str], snapshot: Snapshot) -> CompiledFilter:
+def travelled(
+    key: str, texts: Mapping[str, str], processor: str, fill: Callable[[Compiler, Path], None]
+) -> Path:
+    """The entry of what was pickled: where it was, else compiled from its texts for this processor.
+
+    A folder of the cache may be shared by machines: what was compiled for another processor is none
+    of ours.
+    """
+    entry = cache.find(key) if processor == cache.processor() else None
+    if entry is not None:
+        return entry
+    compiler = find_compiler()
+    key = cache.key_of(*texts.values(), compiler.identity)
+    return cache.find(key) or cache.store(key, lambda folder: fill(compiler, folder))
+
+
+def revived(
+    key: str, texts: Mapping[str, str], processor: str, snapshot: Snapshot
+) -> CompiledFilter:
     """A filter that was pickled: from the cache, else compiled from its text anew."""
-    entry = cache.find(key)
-    if entry is None:
-        compiler = find_compiler()
-        key = cache.key_of(*texts.values(), compiler.identity)
-        entry = cache.find(key) or _made(key, texts, snapshot.layout, compiler)
-    found = CompiledFilter(entry)
+
+    def fill(compiler: Compiler, folder: Path) -> None:
+        _fill(folder, texts, snapshot.layout, compiler)
+
+    found = CompiledFilter(travelled(key, texts, processor, fill))
     found.restore(snapshot)
     return found
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.runtime import cache
-from fkgen.runtime.compiler import compile_shared, find_compiler
+from fkgen.runtime.compiler import Compiler, compile_shared, find_compiler, travelled
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
@@ -44,6 +45,7 @@ class CompiledSampler:
     """A compiled sampler, from its folder in the cache."""
 
     def __init__(self, entry: Path) -> None:
+        self.folder = entry
         facts = json.loads((entry / cache.LAYOUT).read_text(encoding="utf-8"))
         self._nx, self._nu, self._ny = facts["sizes"]
         self._coins, self._hypotheses = facts["coins"], facts["hypotheses"]
@@ -58,6 +60,12 @@ class CompiledSampler:
         self._block.restype = None
         self._quantile = library[f"{name}_quantile"]
         self._quantile.argtypes, self._quantile.restype = [ctypes.c_double], ctypes.c_double
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Rebuild from the cache, or from the generated C where that is gone."""
+        files = [*self.folder.glob("*.c"), self.folder / cache.LAYOUT]
+        texts = {path.name: path.read_text(encoding="utf-8") for path in files}
+        return _revived, (self.folder.name, texts, cache.processor())
 
     def empty(self, runs: int, steps: int) -> Trials:
         """Room for trials."""
@@ -125,11 +133,25 @@ def sampler(spec: Spec) -> CompiledSampler:
         from fkgen.trials.sampling import render_sampler  # noqa: PLC0415 - CasADi
 
         source = render_sampler(spec)
-        text = folder / f"{spec.name}_sampler.c"
-        text.write_text(source.text, encoding="utf-8")
-        compile_shared(compiler, text, folder / cache.LIBRARY, statements=source.operations)
-        (folder / cache.LAYOUT).write_text(source.facts, encoding="utf-8")
+        _fill(compiler, folder, {f"{spec.name}_sampler.c": source.text, cache.LAYOUT: source.facts})
 
     laws = repr(spec.faults) if spec.faults.law_names else ""  # with their numbers at sample 0
     key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), laws, compiler.identity)
     return CompiledSampler(cache.find(key) or cache.store(key, fill))
+
+
+def _fill(compiler: Compiler, folder: Path, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    (source,) = folder.glob("*_sampler.c")
+    statements = json.loads(texts[cache.LAYOUT])["operations"]
+    compile_shared(compiler, source, folder / cache.LIBRARY, statements=statements)
+
+
+def _revived(key: str, texts: Mapping[str, str], processor: str) -> CompiledSampler:
+    """A sampler that was pickled."""
+
+    def fill(compiler: Compiler, folder: Path) -> None:
+        _fill(compiler, folder, texts)
+
+    return CompiledSampler(travelled(key, texts, processor, fill))

@@ -60,7 +60,6 @@ class SamplerSource(NamedTuple):
 
     text: str
     facts: str
-    operations: int
 
 
 def render_sampler(spec: Spec) -> SamplerSource:
@@ -99,8 +98,9 @@ def render_sampler(spec: Spec) -> SamplerSource:
         "modes": conditions.modes,
         "lost": conditions.lost,
         "hypotheses": len(conditions.prior),
+        "operations": len(operations),
     }
-    return SamplerSource(filled("sampler.c.j2", context), json.dumps(facts), len(operations))
+    return SamplerSource(filled("sampler.c.j2", context), json.dumps(facts))
 
 
 def _read(phase: Phase) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.record import whole
-from fkgen.trials.sampler import Trials, sampler
+from fkgen.trials.sampler import CompiledSampler, Trials, sampler
 
 Array = NDArray[np.float64]
 
@@ -166,15 +166,53 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request = Request(spec, runs, steps, seed, first)
-    told = _inputs(spec, u, runs, steps)
-    driving = _added("input", told, input, (runs, steps, spec.model.nu))
-    given = _parameters(spec, params, steps)
-    request = replace(request, spec=_with_laws(_with_start(spec, given), given))
-    trials = _drawn(request, driving, tuple(given.values()), shown=progress)
-    trials = replace(trials, measurement=_measured(spec, trials, present))
+    ready = drawing_of(Request(spec, runs, steps, seed, first), u, params, input=input)
+    found = ready.draw(0, runs, shown=progress)
+    trials = replace(found.trials, measurement=_measured(found.y, present))
     y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
-    return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
+    return replace(found, y=y, trials=trials)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """What the trials of a request have in common: checked, compiled, and ready to be drawn."""
+
+    request: Request
+    told: Array  # (T, q) or (M, T, q), inputs as commanded
+    driving: Array  # the same with the fault of the inputs
+    params: Mapping[str, Array]
+    compiled: CompiledSampler
+
+    def draw(self, start: int, stop: int, *, shown: bool = False) -> Simulation:
+        """Trials ``start`` to ``stop - 1`` of the request."""
+        request = replace(self.request, runs=stop - start, first=self.request.first + start)
+        told, driving = (u if u.ndim == 2 else u[start:stop] for u in (self.told, self.driving))
+        values = tuple(self.params.values())
+        trials = _drawn(request, self.compiled, driving, values, shown=shown)
+        return Simulation(
+            request,
+            y=trials.measurement,
+            u=told,
+            driving=driving,
+            params=self.params,
+            trials=trials,
+        )
+
+
+def drawing_of(
+    request: Request,
+    u: ArrayLike | None,
+    params: Mapping[str, ArrayLike] | None,
+    *,
+    input: ArrayLike | None = None,  # noqa: A002 - as in `simulate`
+) -> Drawing:
+    """The plant of a request with its inputs and parameters, as `simulate` takes them."""
+    spec, shape = request.spec, (request.runs, request.steps)
+    told = _inputs(spec, u, *shape)
+    driving = _added("input", told, input, (*shape, spec.model.nu))
+    given = _parameters(spec, params, request.steps)
+    drawn = _with_laws(_with_start(spec, given), given)
+    return Drawing(replace(request, spec=drawn), told, driving, given, sampler(drawn))
 
 
 def _parameters(spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
@@ -259,11 +297,8 @@ def _added(what: str, signal: Array, profile: ArrayLike | None, shape: tuple[int
     return signal + _profile(what, profile, shape, shapes, finite)
 
 
-def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
-    """Measurements; NaN in rows that are not there, and in samples that are known to be lost."""
-    y = trials.measurement
-    if spec.faults.jump is not None and spec.faults.jump.arrival == "known" and trials.lost.size:
-        y[trials.lost[trials.condition] > 0] = np.nan
+def _measured(y: Array, present: ArrayLike | None) -> Array:
+    """Measurements; NaN in rows that are not there."""
     if present is None:
         return y
     shapes = y.shape[1:], y.shape
@@ -278,8 +313,15 @@ def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
     return np.where(mask, y, np.nan)
 
 
-def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], *, shown: bool) -> Trials:
-    compiled = sampler(request.spec)
+def _drawn(
+    request: Request,
+    compiled: CompiledSampler,
+    u: Array,
+    parameters: tuple[Array, ...],
+    *,
+    shown: bool,
+) -> Trials:
+    """The trials; NaN in samples that are known to be lost."""
     room = compiled.empty(request.runs, request.steps)
 
     def work(start: int, stop: int) -> None:
@@ -289,4 +331,7 @@ def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], *, shown: 
 
     with progressing("simulate", request.runs, shown=shown) as advance:
         in_blocks(work, request.runs, max(1, BLOCK // request.steps), advance)
+    jump = request.spec.faults.jump
+    if jump is not None and jump.arrival == "known" and room.lost.size:
+        room.measurement[room.lost[room.condition] > 0] = np.nan
     return room

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,8 @@ Flags = NDArray[np.bool_]
 _VERDICTS = ("mode_probability", "fault_declared", "test_dof")
 PORTS = ("filtered_state", "filtered_covariance", "nis", *_VERDICTS)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
-_ROUNDED = 512.0
-_TINY = float(np.finfo(float).tiny)  # of a smaller pivot there is no inverse
+ROUNDED = 512.0
+TINY = float(np.finfo(float).tiny)  # of a smaller pivot there is no inverse
 #: A sensor is declared faulty when it is more probably so than not.
 _DECIDED = 0.5
 
@@ -47,6 +48,19 @@ class Scores(NamedTuple):
     detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
 
 
+class Outcome(NamedTuple):
+    """A filter over M trials next to the truth, from some sample on."""
+
+    run: Run  # of all samples, as the rest is but for the first two
+    error: Array  # (M, T, ne)
+    covariance: NDArray[np.floating]  # (M, T, ne, ne)
+    rows: NDArray[np.int64]  # (M, T), rows of y that are there, of those that are tested
+    used: Flags  # (M, T), samples whose innovation counts
+    faults: Flags | None  # (M, T); None where there is nothing to detect
+    alarms: Flags | None  # (M, T); None where nothing is declared
+    decided: Flags | None  # (M, T), samples at which something is declared or not; None is all
+
+
 def score(
     compiled: CompiledFilter, given: FilterInputs, drawn: Simulation, skip: int, false_alarm: float
 ) -> Scores:
@@ -54,55 +68,74 @@ def score(
 
     A filter without modes declares a fault by a test of the NIS with this false alarm rate.
     """
+    found = outcome(compiled, given, drawn, false_alarm, skip=skip)
+    unit = float(np.finfo(found.covariance.dtype).eps)
+    nees = _over(*weighted_squares(found.error, found.covariance, unit))
+    counts = np.full((len(nees), 5), np.nan)
+    if found.faults is not None and found.alarms is not None:
+        counts = np.stack(detection(found.faults, found.alarms, skip, found.decided), axis=1)
+    refused = found.run.refused.sum(axis=1).astype(np.float64)
+    return Scores((found.error**2).mean(axis=1), nees, _nis(found, skip), refused, counts)
+
+
+def outcome(
+    compiled: CompiledFilter,
+    given: FilterInputs,
+    drawn: Simulation,
+    false_alarm: float,
+    *,
+    skip: int = 0,
+    more: Sequence[str] = (),
+) -> Outcome:
+    """What `score` looks at; the run has ``more`` ports than those that scores need."""
     from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
 
-    kept = [name for name in PORTS if name in compiled.ports]
+    kept = [name for name in (*PORTS, *more) if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     states = drawn.spec.model.states
     error = errors_of(states, drawn.state[:, skip:], run["filtered_state"][:, skip:])
-    covariance = run["filtered_covariance"][:, skip:]
-    runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
-    nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
-    nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
-    counts, jump = np.full((runs, 5), np.nan), drawn.spec.faults.jump
+    rows = np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
+    host = len(given.tested) < given.y.shape[2]  # which always uses its rows
+    used = run.status >= 0 if host else run.status == Status.OK.value
     half = 0.5 * np.arange(1, given.y.shape[2] + 1)
     limits = np.array([np.inf, *(2.0 * gammainccinv(half, false_alarm))])  # of 0, 1, ... rows
-    faults = _faulty(drawn)
-    alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
-    if faults is not None and alarms is not None:
-        tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
-        counts = np.stack(detection(faults, alarms, skip, tested), axis=1)
-    refused = run.refused.sum(axis=1).astype(np.float64)
-    return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
+    faults, jump = _faulty(drawn), drawn.spec.faults.jump
+    alarms = decided = None
+    if faults is not None:
+        alarms = _declared(run, limits, rows, 1 if jump is None else len(jump.modes))
+        decided = _positive(run, "test_dof")  # a filter with windows decides at their ends
+    covariance = run["filtered_covariance"][:, skip:]
+    return Outcome(run, error, covariance, rows, used, faults, alarms, decided)
 
 
-def _nis(run: Run, rows: NDArray[np.int64], skip: int, *, host: bool) -> Array:
-    """Sum over samples that were used, per row that was there; a host always uses its rows."""
-    if "nis" not in run.ports:
-        return np.full(len(rows), np.nan)
-    used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
-    total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
-    return _over(total, (rows[:, skip:] * used).sum(axis=1))
+def _nis(found: Outcome, skip: int) -> Array:
+    """Sum over samples that were used, per row that was there."""
+    if "nis" not in found.run.ports:
+        return np.full(len(found.rows), np.nan)
+    used = found.used[:, skip:]
+    total = (found.run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
+    return _over(total, (found.rows[:, skip:] * used).sum(axis=1))
 
 
-def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> Array:
-    """Mean of e' P^-1 e over its dimensions, (M,), of (M, T, n) errors: LDL' of all at once.
+def weighted_squares(
+    error: Array, covariance: NDArray[np.floating], unit: float
+) -> tuple[Array, Array]:
+    """Sums of e' P^-1 e and of its dimensions, (M,), of (M, T, n) errors: LDL' of all at once.
 
-    Directions in which P (M, T, n, n), of this unit round-off, is zero are left out; NaN where none
-    is left.
+    Directions in which P (M, T, n, n), of this unit round-off, is zero are left out.
     """
     left, e = covariance.astype(np.float64), error.copy()
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
     for j in range(e.shape[2]):
         pivot = left[..., j, j].copy()
-        there = pivot > np.maximum(_ROUNDED * unit * covariance[..., j, j], _TINY)
+        there = pivot > np.maximum(ROUNDED * unit * covariance[..., j, j], TINY)
         inverse = np.divide(1.0, pivot, out=np.zeros_like(pivot), where=there)
         total += e[..., j] ** 2 * inverse
         dimensions += there
         share, below = left[..., j + 1 :, j] * inverse[..., None], left[..., j, None, j + 1 :]
         e[..., j + 1 :] -= share * e[..., j, None]
         left[..., j + 1 :, j + 1 :] -= share[..., None] * below
-    return _over(total.sum(axis=1), dimensions.sum(axis=1))
+    return total.sum(axis=1), dimensions.sum(axis=1)
 
 
 def _over(total: Array, count: NDArray[np.number]) -> Array:
@@ -116,7 +149,7 @@ def _faulty(simulation: Simulation) -> Flags | None:
     Actuators that fail at random and modes of the plant act on the state: no sample is good or bad
     by itself.
     """
-    if simulation.delta is not None:
+    if simulation.spec.faults.sensor is not None:
         return np.asarray(simulation.mode != 0)
     if simulation.arrival is not None:
         return ~simulation.arrival
@@ -126,16 +159,17 @@ def _faulty(simulation: Simulation) -> Flags | None:
     return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
 
 
-def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
+def _declared(run: Run, limits: Array, rows: NDArray[np.int64], healthy: int) -> Flags | None:
     """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
 
-    ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
+    ``limits`` are those of the NIS by number of rows; the first ``healthy`` modes are those without
+    fault.
     """
     if "fault_declared" in run.ports:
         return _positive(run, "fault_declared")
     if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
-    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
+    return np.asarray(run["nis"] > limits[rows]) if "nis" in run.ports else None
 
 
 def _positive(run: Run, name: str) -> Flags | None:

@@ -1,0 +1,1 @@
+"""Campaigns: statistics of a filter over any number of trials, on any number of machines."""

@@ -1,0 +1,129 @@
+"""Sums over trials that do not depend on the order in which they were added up.
+
+A sum of doubles is held exactly, as a few numbers of decreasing size (Shewchuk 1997, "Adaptive
+precision floating-point arithmetic", expansions): each is what is left of the sum of those before
+it, rounded correctly. So it is a function of the exact sum alone, and adding two of them is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.errors import DataError
+
+Array = NDArray[np.float64]
+_ROUNDED = Fraction(1, 2**50)
+_LARGEST = 1e290  # of a sum, so that sums of them do not overflow
+_SUMS = 5  # of a, b, a a, a b, b b: what a ratio of means and its standard error need
+
+
+class Statistic(NamedTuple):
+    """Estimates and their standard errors, which have the same shape."""
+
+    value: Array
+    standard_error: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """What is known of some trials.
+
+    Attributes
+    ----------
+    trials : int
+    shapes : mapping of str to tuple
+        Ratios by name.
+    parts : (P, K) ndarray
+        The exact sums: five for each number of each ratio.
+    """
+
+    trials: int
+    shapes: Mapping[str, tuple[int, ...]]
+    parts: Array
+
+    @classmethod
+    def of(cls, trials: int, shapes: Mapping[str, tuple[int, ...]], sums: Array) -> Sums:
+        """The sums (5, N) of a block; they are rounded, always in the same order.
+
+        Raises
+        ------
+        DataError
+            If a square overflows.
+        """
+        if not np.abs(sums).max(initial=0.0) < _LARGEST:
+            expected = "errors that can be squared: plant or filter are not stable"
+            raise DataError("steps", given="errors whose squares overflow", expected=expected)
+        widths = np.cumsum([math.prod(shape) for shape in shapes.values()])[:-1]
+        parts = [part.ravel() for part in np.split(sums, widths, axis=1)]
+        return cls(trials, shapes, np.concatenate(parts)[np.newaxis])
+
+    def ratio(self, name: str) -> Statistic:
+        """Sum of a over sum of b, with the standard error of a ratio of means (delta method).
+
+        Trials are independent, samples of one are not: the error is from the spread of trials. NaN
+        where b is 0 throughout, and the error of a single trial.
+        """
+        shape = self.shapes[name]
+        columns = self._columns(name).T.tolist()
+        exact = [sum(map(Fraction, parts), Fraction()) for parts in columns]
+        size = math.prod(shape)
+        sums = [exact[i * size : (i + 1) * size] for i in range(_SUMS)]
+        found = [_ratio(each, self.trials) for each in zip(*sums, strict=True)]
+        value, error = np.array(found, float).reshape(size, 2).T
+        return Statistic(value.reshape(shape)[()], error.reshape(shape)[()])
+
+    def total(self, name: str) -> Array:
+        """Sum of b."""
+        size = math.prod(self.shapes[name])
+        found = [math.fsum(parts) for parts in self._columns(name)[:, size : 2 * size].T.tolist()]
+        return np.array(found).reshape(self.shapes[name])
+
+    def _columns(self, name: str) -> Array:
+        widths = {each: _SUMS * math.prod(shape) for each, shape in self.shapes.items()}
+        start = 0
+        for each, width in widths.items():
+            if each == name:
+                return self.parts[:, start : start + width]
+            start += width
+        raise KeyError(name)
+
+
+def _ratio(sums: Sequence[Fraction], trials: int) -> tuple[float, float]:
+    a, b, aa, ab, bb = sums
+    if not b:
+        return math.nan, math.nan
+    r = a / b
+    if trials < 2:
+        return float(r), math.nan
+    left = aa - 2 * r * ab + r * r * bb
+    if left <= _ROUNDED * aa:  # the squares were rounded: nothing is left but that
+        return float(r), 0.0
+    return float(r), math.sqrt(left * Fraction(trials, trials - 1) / (b * b))
+
+
+def merged(sums: Iterable[Sums]) -> Sums:
+    """The sums of several sets of trials as those of all of them, exactly."""
+    every = list(sums)
+    if len(every) == 1:
+        return every[0]
+    columns = np.concatenate([each.parts for each in every]).T.tolist()
+    expansions = [_expansion(column) for column in columns]
+    parts = np.zeros((max(map(len, expansions)), len(expansions)))
+    for i, found in enumerate(expansions):
+        parts[: len(found), i] = found
+    return Sums(sum(each.trials for each in every), every[0].shapes, parts)
+
+
+def _expansion(numbers: list[float]) -> list[float]:
+    """Numbers of decreasing size whose exact sum is that of others: at least one."""
+    found = [math.fsum(numbers)]
+    while rest := math.fsum([*numbers, *(-each for each in found)]):
+        found.append(rest)
+    return found
