@@ -48,6 +48,18 @@ def estimate_ports(
     )
 
 
+def factor_ports(ne: int, extra: int = 0) -> tuple[Port, Port]:
+    """Factors of predicted and filtered covariance, of the latter with ``extra`` numbers beside."""
+    how = "by columns: U D U' with U unit upper triangular; D in place of its diagonal"
+    own, joint = len(triangle(ne)), len(triangle(ne + extra))
+    twin = "" if extra else "filtered_factors"
+    beside = " with what y tells of beside x" if extra else ""
+    return (
+        carried("predicted_factors", (own,), f"factors of P(k+1|k), {how}", corrected=twin),
+        carried("filtered_factors", (joint,), f"factors of P(k|k){beside}, {how}"),
+    )
+
+
 def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"

@@ -17,8 +17,10 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     finite,
+    has_factors,
     moved_by_noise,
     propagate,
+    propagate_factors,
     update_form,
 )
 from fkgen.estimators.gaussian.gate import (
@@ -30,6 +32,7 @@ from fkgen.estimators.gaussian.gate import (
 )
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -38,7 +41,14 @@ from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    factor_ports,
+    innovation_ports,
+    shown,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -47,17 +57,26 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     plant = plant_of(spec)
     size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
+    form = update_form(spec, plant, augmented=size > 0, factored=has_factors(plant))
+    beside, start, notes = size + len(moved_by_noise(plant)), None, gate_notes(spec)
+    if form == "ud":
+        ports = (*factor_ports(plant.ne, beside), *ports)
     symbols = symbols_of(spec, plant, ports)
-    form = update_form(spec, plant, augmented=size > 0)
+    if form == "ud":
+        order = order_of((plant,))
+        begun = ("predicted_factors", *(() if beside else ("filtered_factors",)))
+        start = started(spec, symbols, begun, order)
+        notes += factors_note(order, spec)
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
+        start=start,
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain),
         form=form,
         outcomes=gate_outcomes(spec),
-        notes=gate_notes(spec),
+        notes=notes,
         repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
     )
 
@@ -125,7 +144,10 @@ def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
     builder = PhaseBuilder(symbols)
-    demand_positive(builder, symbols["predicted_covariance"])
+    prior: ca.SX | Factors = symbols["predicted_covariance"]
+    if form == "ud":
+        prior = Factors.of(symbols["predicted_factors"], order_of((plant,)), plant.scalar)
+    demand_positive(builder, prior)
     _demand_rates(builder, spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
@@ -138,7 +160,7 @@ def _update(
         builder,
         plant,
         actuation,
-        (symbols["predicted_state"], symbols["predicted_covariance"]),
+        (symbols["predicted_state"], prior),
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
@@ -154,6 +176,8 @@ def _update(
         **innovation_results(found),
         **gate_results(found.rejected),
     }
+    if posterior.factors is not None:
+        assign["filtered_factors"] = posterior.factors.packed
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.ne, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
@@ -179,8 +203,17 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             deviation_covariance=symbols[own],
             cross_covariance=from_rows(symbols[cross], r),
         )
-    state, covariance, through = propagate(builder, plant, actuation, posterior)
-    assign = {"predicted_state": state, "predicted_covariance": covariance}
+    assign = {}
+    if "filtered_factors" in symbols:
+        order = (*order_of((plant,)), *range(plant.ne, plant.ne + r))
+        held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
+        state, held, through = propagate_factors(plant, actuation, posterior, held)
+        with builder.titled("factors of the next covariance"):
+            held = held.named(builder, "next_factors")
+        covariance, assign["predicted_factors"] = held.covariance(), held.packed
+    else:
+        state, covariance, through = propagate(builder, plant, actuation, posterior)
+    assign |= {"predicted_state": state, "predicted_covariance": covariance}
     if with_gain:
         gain = from_rows(symbols["filtered_gain"], plant.ne)
         if r:
