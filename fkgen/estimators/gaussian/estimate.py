@@ -24,7 +24,7 @@ from fkgen.estimators.gaussian.sequential import (
     Prior,
     condition,
 )
-from fkgen.estimators.gaussian.ud import Factors, columns_of
+from fkgen.estimators.gaussian.ud import Factors, columns_of, noise_columns
 from fkgen.problem import Spec
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.builder import PhaseBuilder
@@ -327,8 +327,7 @@ def propagate_factors(
     joint = posterior.deviation.numel() > 0
     if moved:  # their noise is part of what was estimated
         B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
-    own, weights = columns_of(sparse(Q)[list(order), list(order)], factors.scalar)
-    columns = [(own[[order.index(i) for i in range(n)], :], weights)]
+    columns = [noise_columns(Q, order, factors.scalar)]
     if plant.G is not None and plant.lifted is not None:
         columns.append((plant.G, plant.lifted.variances))
     if joint:

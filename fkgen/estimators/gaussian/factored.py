@@ -8,7 +8,7 @@ import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import Row
 from fkgen.estimators.gaussian.rows import SequentialUpdate
-from fkgen.estimators.gaussian.ud import Factors, reciprocal
+from fkgen.estimators.gaussian.ud import Factors, is_positive, reciprocal
 from fkgen.symbolic.linalg import is_zero, sparse
 
 
@@ -66,14 +66,15 @@ class FactoredUpdate(SequentialUpdate):
         """The factors of P - P c (P c)' / pivot, packed."""
         held, sums, n = self.factors, self.sums, len(self.order)
         unit, scale = ca.SX(held.unit), ca.SX(held.scale)
-        inverse, _nothing = reciprocal(sums.variance[0], self.scalar)
+        noisy = is_positive(ca.SX(row.variance), self.scalar)
+        inverse, _ = reciprocal(sums.variance[0], self.scalar, positive=noisy)
         for j in range(n):
             if is_zero(sums.sensed[j]):
                 continue
-            before, share = inverse, sums.sensed[j]
-            inverse, nothing = reciprocal(sums.variance[j + 1], self.scalar)
+            share = sums.sensed[j] * inverse
+            inverse, nothing = reciprocal(sums.variance[j + 1], self.scalar, positive=noisy)
             scale[j] = held.scale[j] * (sums.variance[j] * inverse + nothing)
             for i in range(j):
-                if j and not is_zero(sums.cross[i, j - 1]):
-                    unit[i, j] = held.unit[i, j] - share * before * sums.cross[i, j - 1]
+                if not is_zero(sums.cross[i, j - 1]):
+                    unit[i, j] = held.unit[i, j] - share * sums.cross[i, j - 1]
         return Factors(unit, scale, self.order, self.scalar).packed

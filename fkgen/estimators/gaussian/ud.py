@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -117,12 +118,17 @@ def _balanced(terms: list[ca.SX]) -> ca.SX:
     return _balanced(terms[:half]) + _balanced(terms[half:])
 
 
-def reciprocal(value: ca.SX, scalar: str) -> tuple[ca.SX, ca.SX]:
+def reciprocal(value: ca.SX, scalar: str, *, positive: bool = False) -> tuple[ca.SX, ca.SX]:
     """1 / value, and 0; where a value that is not negative is 0, 1 and 1."""
-    if value.is_constant() and float(value) > LEAST[scalar]:
+    if positive or is_positive(value, scalar):
         return 1 / value, ca.SX(0)
     nothing = value <= LEAST[scalar]
     return 1 / (value + nothing), nothing
+
+
+def is_positive(value: ca.SX, scalar: str) -> bool:
+    """Whether a value is a constant above 0."""
+    return bool(value.is_constant()) and float(value) > LEAST[scalar]
 
 
 def _is_triangular(M: ca.SX) -> bool:
@@ -148,8 +154,10 @@ def _orthogonal(
         if not rows[j]:
             continue
         scaled = {k: weight[k] * value for k, value in rows[j].items()}
-        left[j] = total(value * scaled[k] for k, value in rows[j].items())
-        inverse, _ = reciprocal(left[j], scalar)
+        terms = [value * scaled[k] for k, value in rows[j].items()]
+        left[j] = total(terms)
+        positive = any(is_positive(each, scalar) for each in terms)
+        inverse, _ = reciprocal(left[j], scalar, positive=positive)
         for i in range(j):
             common = sorted(rows[i].keys() & rows[j].keys())
             if not common:
@@ -169,7 +177,9 @@ def _grown(
     n, diagonal = carried.shape[0], [float(carried[i, i]) for i in range(carried.shape[0])]
     unit = sparse(carried @ ca.SX(ca.DM(np.diag(1.0 / np.array(diagonal)))))
     left = [scale[i] * diagonal[i] ** 2 for i in range(n)]
-    for at in range(added.shape[1]):
+    positive = set[int]()  # by what was added to them
+    first = [max(added[:, k].sparsity().row(), default=-1) for k in range(added.shape[1])]
+    for at in sorted(range(added.shape[1]), key=first.__getitem__):
         rest, weight = {i: added[i, at] for i in range(n) if not is_zero(added[i, at])}, weights[at]
         for j in reversed(range(n)):
             if j not in rest or is_zero(weight):
@@ -177,7 +187,8 @@ def _grown(
             own = rest.pop(j)
             share = weight * own
             grown = left[j] + share * own
-            inverse, nothing = reciprocal(grown, scalar)
+            positive |= {j} if is_positive(share * own, scalar) else set()
+            inverse, nothing = reciprocal(grown, scalar, positive=j in positive)
             share = share * inverse
             weight = weight * (left[j] * inverse + nothing)
             left[j] = grown
@@ -227,6 +238,12 @@ def columns_of(covariance: ca.SX, scalar: str) -> tuple[ca.SX, ca.SX]:
     return found.unit[:, kept], found.scale[kept]
 
 
+def noise_columns(Q: ca.SX, order: Sequence[int], scalar: str) -> tuple[ca.SX, ca.SX]:
+    """The same, triangular in the order of factors."""
+    columns, weights = columns_of(sparse(Q)[list(order), list(order)], scalar)
+    return columns[[order.index(i) for i in range(len(order))], :], weights
+
+
 def _constant_columns(
     covariance: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -249,7 +266,7 @@ def _constant_columns(
 def order_of(plants: Sequence[Plant]) -> tuple[int, ...]:
     """The order of states in which factors cost least.
 
-    One in which every A is upper triangular, if there is one; measured states late.
+    One in which every A is upper triangular, measured states late, if there is one.
     """
     n = plants[0].ne
     before: dict[int, set[int]] = {i: set() for i in range(n)}
@@ -262,9 +279,23 @@ def order_of(plants: Sequence[Plant]) -> tuple[int, ...]:
     while len(found) < n:
         ready = [i for i in range(n) if i not in found and before[i] <= set(found)]
         if not ready:
-            return (*(i for i in range(n) if i not in seen), *sorted(seen))
+            others = [i for i in range(n) if i not in seen]
+            return min(tuple(range(n)), (*others, *sorted(seen)), key=partial(_cost, plants[0]))
         found.append(min(ready, key=lambda i: (i in seen, i)))
     return tuple(found)
+
+
+def _cost(plant: Plant, order: tuple[int, ...]) -> int:
+    """Operations of factors in this order: of the prediction, and about those of rows of y."""
+    n, scalar = plant.ne, plant.scalar
+    P = Factors.of(ca.SX.sym("P", len(triangle(n))), order, scalar)
+    columns, weights = noise_columns(plant.Q, order, scalar)
+    reached = [
+        n - min(map(order.index, row.sparsity().get_triplet()[1]), default=n)
+        for row in ca.vertsplit(plant.C)
+    ]
+    rows = sum(reach * (2 * reach + 8) for reach in reached)
+    return operations(P.moved(plant.A, columns, weights).packed) + rows
 
 
 def started(

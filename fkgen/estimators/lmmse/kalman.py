@@ -59,11 +59,11 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     ports = _ports(spec, plant, size, with_gain=with_gain)
     form = update_form(spec, plant, augmented=size > 0, factored=has_factors(plant))
     beside, start, notes = size + len(moved_by_noise(plant)), None, gate_notes(spec)
+    order = order_of((plant,)) if form == "ud" else ()
     if form == "ud":
         ports = (*factor_ports(plant.ne, beside), *ports)
     symbols = symbols_of(spec, plant, ports)
     if form == "ud":
-        order = order_of((plant,))
         begun = ("predicted_factors", *(() if beside else ("filtered_factors",)))
         start = started(spec, symbols, begun, order)
         notes += factors_note(order, spec)
@@ -72,8 +72,8 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         source=source,
         ports=ports,
         start=start,
-        update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
-        predict=prediction(spec, plant, symbols, with_gain=with_gain),
+        update=_update(spec, plant, symbols, (form, order), with_gain=with_gain),
+        predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order),
         form=form,
         outcomes=gate_outcomes(spec),
         notes=notes,
@@ -141,12 +141,18 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
 
 
 def _update(
-    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
+    spec: Spec,
+    plant: Plant,
+    symbols: dict[str, ca.SX],
+    how: tuple[Form, tuple[int, ...]],
+    *,
+    with_gain: bool,
 ) -> Phase:
+    """Correct the prediction; ``how`` is the form of the update, and the order of its factors."""
     builder = PhaseBuilder(symbols)
     prior: ca.SX | Factors = symbols["predicted_covariance"]
-    if form == "ud":
-        prior = Factors.of(symbols["predicted_factors"], order_of((plant,)), plant.scalar)
+    if how[1]:
+        prior = Factors.of(symbols["predicted_factors"], how[1], plant.scalar)
     demand_positive(builder, prior)
     _demand_rates(builder, spec, plant)
     if spec.faults.sensor is not None:
@@ -162,7 +168,7 @@ def _update(
         actuation,
         (symbols["predicted_state"], prior),
         y=symbols["y"],
-        form=form,
+        form=how[0],
         with_gain=with_gain,
         gate=Gate.of(spec),
     )
@@ -186,8 +192,18 @@ def _update(
     return builder.phase()
 
 
-def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
-    """Propagate what is known of x, and of inputs and noise, to the next sample."""
+def prediction(
+    spec: Spec,
+    plant: Plant,
+    symbols: dict[str, ca.SX],
+    *,
+    with_gain: bool,
+    order: tuple[int, ...] = (),
+) -> Phase:
+    """Propagate what is known of x, and of inputs and noise, to the next sample.
+
+    ``order`` is that of factors, if there are any.
+    """
     builder = PhaseBuilder(symbols)
     _demand_rates(builder, spec, plant)
     plant = bound(builder, plant, "ABQc")
@@ -204,8 +220,8 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             cross_covariance=from_rows(symbols[cross], r),
         )
     assign = {}
-    if "filtered_factors" in symbols:
-        order = (*order_of((plant,)), *range(plant.ne, plant.ne + r))
+    if order:
+        order = (*order, *range(plant.ne, plant.ne + r))
         held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
         state, held, through = propagate_factors(plant, actuation, posterior, held)
         with builder.titled("factors of the next covariance"):
