@@ -196,7 +196,9 @@ def _update(bank: Bank) -> Phase:
             for i, (mean, _) in enumerate(priors)
         ]
         angles = bank.plant.wraps, y
-        results = combined_innovation(builder, held[0], predicted, found, angles)
+        results = combined_innovation(
+            builder, held[0], predicted, found, angles, scalar=bank.spec.code.scalar
+        )
         w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state, covariance = _merged(builder, bank, w, parts, "merged")
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import are_many, whiten
 from fkgen.estimators.gaussian.estimate import off_by
 from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.ud import DUST
 from fkgen.estimators.models.weights import TINY
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import At, packed
@@ -17,6 +19,7 @@ from fkgen.symbolic.lifting.equations import Lifted, box_minus, turned_by
 from fkgen.symbolic.linalg import (
     column,
     congruence,
+    diagonal,
     is_zero,
     order,
     outer_lower,
@@ -30,6 +33,11 @@ from fkgen.symbolic.plant import DENSE_STATES, Plant
 
 #: Shares of a column that agree to so many decimals are the same.
 DIGITS = 13
+
+#: How many times as large as what it is added to the variance of the spread of means may be: a
+#: product of one vector with itself is rounded in every direction, and no more must be left of that
+#: than the variances there bear.
+WIDEST = {"double": 1e9, "float": 1e3}
 
 #: Mean and packed covariance.
 Gaussian = tuple[ca.SX, ca.SX]
@@ -88,28 +96,93 @@ class Chart:
         return state, self.builder.define(f"turned{of}", packed)
 
 
+def bounded(
+    builder: PhaseBuilder,
+    name: str,
+    spread: tuple[ca.SX, ca.SX],
+    within: list[ca.SX],
+    scalar: str,
+) -> ca.SX:
+    """The factor of a squared difference of means, less where that is beyond `WIDEST`.
+
+    ``spread`` is the factor and the difference, ``within`` are the variances that it is added to,
+    without any spread. Means so far apart are those of a sample that no mode expects, and what is
+    left of their spread is still more than any other.
+    """
+    factor, apart = spread
+    limits = [WIDEST[scalar] * each for each in within]
+    squares = [factor * (each * each) for each in ca.vertsplit(ca.densify(apart))]
+    excess = [square - limit for square, limit in zip(squares, limits, strict=True)]
+    found = builder.local(name, 1)
+    builder.assign({name: factor})
+    with builder.if_positive(reduce(ca.fmax, excess)):
+        least = TINY[scalar]
+        shares = [
+            (limit + (limit <= 0)) / ca.fmax(square, least)
+            for limit, square in zip(limits, squares, strict=True)
+        ]
+        builder.assign({name: factor * reduce(ca.fmin, shares, ca.SX(1))})
+    return found
+
+
+def bounded_all(
+    builder: PhaseBuilder,
+    name: str,
+    mixed: tuple[ca.SX, Sequence[Gaussian]],
+    apart: Sequence[ca.SX],
+    scalar: str,
+) -> ca.SX:
+    """The same for each part of a mixture, of weights and parts: weights of the spread."""
+    weights, own = mixed
+    variances = ca.vertcat(*diagonal(weighted_sum(weights, [packed for _, packed in own])))
+    within = ca.vertsplit(builder.define(f"{name}_within", variances))
+    parts = enumerate(apart)
+    found = [
+        bounded(builder, f"{name}_factor_{i}", (weights[i], d), within, scalar) for i, d in parts
+    ]
+    return column(found)
+
+
 def mixture(
-    chart: Chart, weights: ca.SX, parts: Sequence[Gaussian], tag: str = "", *, named: bool = True
+    chart: Chart,
+    weights: ca.SX,
+    parts: Sequence[Gaussian],
+    tag: str = "",
+    *,
+    named: bool = True,
+    lasting: bool = False,
 ) -> Gaussian:
-    """Mean and packed covariance of a mixture of Gaussians; the mean is computed once."""
-    own = chart.inward(parts)
+    """Mean and packed covariance of a mixture of Gaussians; the mean is computed once.
+
+    What is ``lasting`` is carried to the next sample.
+    """
+    own, spread = chart.inward(parts), weights
     mean = weighted_sum(weights, [each for each, _ in own])
     if named:
         mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
-    if order(own[0][1]) < DENSE_STATES or not named:
-        return chart.outward((mean, mixture_covariance(weights, own, mean)), tag)
     apart = [each - mean for each, _ in own]
-    within = weights, [each for _, each in own]
     name = f"{chart.name}_covariance{tag}"
+    if lasting and len(own) > 1:
+        spread = bounded_all(chart.builder, name, (weights, own), apart, chart.plant.scalar)
+    if order(own[0][1]) < DENSE_STATES or not named:
+        covariance = mixture_covariance(weights, own, mean, spread)
+        return chart.outward((mean, covariance), tag)
+    within = weights, [each for _, each in own]
     return chart.outward(
-        (mean, _merged_in_loops(chart.builder, name, within, (weights, apart))), tag
+        (mean, _merged_in_loops(chart.builder, name, within, (spread, apart))), tag
     )
 
 
-def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -> ca.SX:
-    """Packed covariance of a mixture of Gaussians with this ``mean``."""
+def mixture_covariance(
+    weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX, outer: ca.SX | None = None
+) -> ca.SX:
+    """Packed covariance of a mixture of Gaussians with this ``mean``.
+
+    ``outer`` are weights of the spread of means that differ from those of the covariances.
+    """
     means, covariances = zip(*parts, strict=True)
-    return weighted_sum(weights, covariances) + spread(weights, means, mean)
+    outer = weights if outer is None else outer
+    return weighted_sum(weights, covariances) + spread(outer, means, mean)
 
 
 def combined_innovation(
@@ -118,6 +191,8 @@ def combined_innovation(
     predicted: list[ca.SX],
     found: Sequence[Conditioned],
     angles: tuple[tuple[int, ...], ca.SX],
+    *,
+    scalar: str,
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.
 
@@ -137,8 +212,10 @@ def combined_innovation(
         with builder.if_present(row):
             builder.assign({f"combined_angle_{row}": reduced(y[row] - mean[row])})
     nu = builder.define("combined_innovation", nu)
-    whitened = None if len(found) == 1 else whiten(builder, S, nu, "_combined")
-    nis = found[0].nis if whitened is None else whitened.quadratic(ca.SX(1))
+    if len(found) == 1:
+        return {"innovation": nu, "innovation_covariance": S, "nis": found[0].nis}
+    least = 4.0 * nu.numel() * DUST[scalar]  # S is positive definite as every part of it is
+    nis = whiten(builder, S, nu, "_combined", least=least).quadratic(ca.SX(1))
     return {"innovation": nu, "innovation_covariance": S, "nis": nis}
 
 
@@ -197,15 +274,22 @@ class Mixer:
     the means: positive semidefinite term by term, and blind to means of weight zero. Where columns
     of a kernel agree on a pair but for a factor, as those of two independent chains do, the pair is
     merged once for all of them. `TINY` is added to the weight of a pair before dividing by it; it
-    is nothing beside a weight that counts.
+    is nothing beside a weight that counts. What is ``lasting`` is carried to the next sample.
     """
 
     def __init__(
-        self, builder: PhaseBuilder, name: str, parts: list[Gaussian], scalar: str
+        self,
+        builder: PhaseBuilder,
+        name: str,
+        parts: list[Gaussian],
+        scalar: str,
+        *,
+        lasting: bool = True,
     ) -> None:
-        self.builder, self.name, self.parts, self.tiny = builder, name, parts, TINY[scalar]
+        self.builder, self.name, self.parts, self.scalar = builder, name, parts, scalar
+        self.tiny, self.lasting = TINY[scalar], lasting
         self._products: dict[range, ca.SX] = {}
-        self._known: dict[tuple[object, ...], Gaussian] = {}
+        self._known: dict[tuple[object, ...], tuple[Gaussian, list[ca.SX]]] = {}
 
     def under(
         self, weights: ca.SX, tag: str = "", column: tuple[float, ...] | None = None
@@ -215,15 +299,16 @@ class Mixer:
         ``column`` is what the weights are proportional to besides a common factor of each
         Gaussian; none of it may be zero.
         """
-        return self._merge(range(len(self.parts)), weights, tag, column)
+        return self._merge(range(len(self.parts)), weights, tag, column)[0]
 
     def _merge(
         self, which: range, weights: ca.SX, tag: str, column: tuple[float, ...] | None
-    ) -> Gaussian:
-        """The Gaussian of the parts in ``which``, by halves."""
+    ) -> tuple[Gaussian, list[ca.SX]]:
+        """The Gaussian of the parts in ``which``, by halves, and its variances but for spreads."""
         alive = [i for i in which if not is_zero(weights[i])]
         if len(alive) <= 1:
-            return self.parts[alive[0] if alive else which[0]]
+            alone = self.parts[alive[0] if alive else which[0]]
+            return alone, diagonal(alone[1])
         key = (which, tag if column is None else _shape(column, which))
         if key in self._known:
             return self._known[key]
@@ -234,17 +319,23 @@ class Mixer:
                 return self._merge(other, weights, tag, column)
         label = f"{self.name}{tag}_{which[0]}_{which[-1]}"
         share = self._share([total(weights[i] for i in half) for half in halves], label, which)
-        (x, P), (z, Q) = (self._merge(half, weights, tag, column) for half in halves)
+        pair = [self._merge(half, weights, tag, column) for half in halves]
+        (x, P), (z, Q) = (each for each, _ in pair)
         mean = self.builder.define(f"{label}_mean", share[0] * x + share[1] * z)
-        name = f"{label}_covariance"
+        name, factor = f"{label}_covariance", share[0] * share[1]
+        within: list[ca.SX] = []
+        if self.lasting:
+            own = zip(pair[0][1], pair[1][1], strict=True)
+            sums = ca.vertcat(*(share[0] * a + share[1] * b for a, b in own))
+            within = ca.vertsplit(self.builder.define(f"{label}_within", sums))
+            spread = factor, x - z
+            factor = bounded(self.builder, f"{label}_factor", spread, within, self.scalar)
         if order(P) >= DENSE_STATES:
-            apart = [x - z]
-            both = share[0] * share[1]
-            covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (both, apart))
+            covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (factor, [x - z]))
         else:
-            spread = self._spread(which, x, z, label)(share[0] * share[1])
-            covariance = self.builder.define(name, share[0] * P + share[1] * Q + spread)
-        self._known[key] = mean, covariance
+            outer = self._spread(which, x, z, label)(factor)
+            covariance = self.builder.define(name, share[0] * P + share[1] * Q + outer)
+        self._known[key] = (mean, covariance), within
         return self._known[key]
 
     def _share(self, masses: list[ca.SX], label: str, which: range) -> ca.SX:

@@ -41,6 +41,7 @@ from fkgen.estimators.models.merge import (
     Chart,
     Gaussian,
     Mixer,
+    bounded_all,
     combined_innovation,
     mixture,
     mixture_covariance,
@@ -314,7 +315,9 @@ class Switching:
                 y = expected(variants[0].plant, prior[0], symbols["u"])
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             angles = self.plants[0].wraps, symbols["y"]
-            results = combined_innovation(builder, held[0], predicted, each, angles)
+            results = combined_innovation(
+                builder, held[0], predicted, each, angles, scalar=self.spec.code.scalar
+            )
         with builder.titled("combination"):
             if modes.chain.independent:
                 said = symbols["predicted_mode_evidence"] + column(logs)
@@ -388,7 +391,7 @@ class Switching:
         weights = builder.define(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
         parts = [(one.mean, one.covariance) for one in each]
         chart = Chart(builder, self.plants[0], "merged", each[0].mean)
-        state, covariance = mixture(chart, weights, parts, f"_m{mode}")
+        state, covariance = mixture(chart, weights, parts, f"_m{mode}", lasting=True)
         covariance = builder.define(f"merged_covariance_m{mode}", covariance)
         return replace(whole, mean=state, covariance=covariance)
 
@@ -412,7 +415,9 @@ def one_step_optimal(spec: Spec) -> Recursion:
         demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
-            covariance = mixture_covariance(weights, parts, state)
+            apart, scalar = [mean - state for mean, _ in parts], spec.code.scalar
+            outer = bounded_all(builder, "combined", (weights, parts), apart, scalar)
+            covariance = mixture_covariance(weights, parts, state, outer)
         alone = covariances[:beside]
         if plant.attitudes:
             errors, n = state, plant.ne
@@ -598,5 +603,6 @@ def _combined(
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]
     chart = Chart(builder, motions[0], "prediction", moved[0][0][0])
-    mixer = Mixer(builder, "predicted", chart.inward(moved[0]), filtering.spec.code.scalar)
+    parts = chart.inward(moved[0])
+    mixer = Mixer(builder, "predicted", parts, filtering.spec.code.scalar, lasting=False)
     return chart.outward(mixer.under(column(masses)))
