@@ -24,7 +24,7 @@ from fkgen.estimators.gaussian.sequential import (
     Prior,
     condition,
 )
-from fkgen.estimators.gaussian.ud import Factors, columns_of, noise_columns
+from fkgen.estimators.gaussian.ud import Factors, Wide, columns_of, noise_columns
 from fkgen.problem import Spec
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.builder import PhaseBuilder
@@ -316,7 +316,7 @@ def propagate(
 
 
 def propagate_factors(
-    plant: Plant, actuation: Actuation, posterior: Posterior, factors: Factors
+    plant: Plant, actuation: Actuation, posterior: Posterior, factors: Factors | Wide
 ) -> tuple[ca.SX, Factors, ca.SX]:
     """The same with the factors of all that ``posterior`` is about: Thornton 1976."""
     n, moved, order = plant.ne, moved_by_noise(plant), factors.order[: plant.ne]

@@ -6,7 +6,7 @@ What is stored are U and D, so P is positive semidefinite whatever is rounded: B
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -75,6 +75,10 @@ class Factors:
             entries.append(_balanced([each for each in terms if not is_zero(each)]))
         return column(entries)
 
+    def in_rows(self) -> ca.SX:
+        """U with its rows in the order of states."""
+        return self.unit[[self.order.index(i) for i in range(self.size)], :]
+
     def seen(self, C: ca.SX) -> ca.SX:
         """C P C', packed."""
         through = sparse(C[:, list(self.order)] @ self.unit)
@@ -108,6 +112,64 @@ class Factors:
             ways.append(_grown(carried, self.scale, added, weights, self.scalar))
         found = [Factors(unit, scale, order, self.scalar) for unit, scale in ways]
         return min(found, key=lambda each: operations(each.packed))
+
+
+@dataclass(frozen=True, slots=True)
+class Wide:
+    """A covariance as factors and columns beside them, of which it is the sum of squares."""
+
+    base: Factors
+    columns: ca.SX  # (n, k), with a weight each
+    weights: ca.SX  # (k, 1)
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """That of the factors."""
+        return self.base.order
+
+    @property
+    def scalar(self) -> str:
+        """That of the factors."""
+        return self.base.scalar
+
+    def moved(
+        self, M: ca.SX, columns: ca.SX, weights: ca.SX, order: Sequence[int] | None = None
+    ) -> Factors:
+        """Factors of what a map makes of it, with columns added."""
+        columns = ca.horzcat(sparse(M @ self.columns), columns)
+        return self.base.moved(M, columns, ca.vertcat(self.weights, weights), order)
+
+    def narrow(self) -> Factors:
+        """Its factors."""
+        n = self.base.size
+        return self.moved(ca.SX.eye(n), ca.SX(n, 0), ca.SX(0, 1))
+
+
+def merged(
+    weights: Sequence[ca.SX], parts: Sequence[tuple[ca.SX, Factors]], *, spread: bool = True
+) -> tuple[ca.SX, Wide]:
+    """Mean and covariance of a mixture of Gaussians, whose factors have one order.
+
+    Nothing is subtracted but means: that of the first from the others, with weights that sum to 1.
+    """
+    (first, base), *others = parts
+    apart = [each - first for each, _ in others]
+    shift = sum((w * d for w, d in zip(weights[1:], apart, strict=True)), ca.SX(*first.shape))
+    columns = [ca.SX(base.size, 0)]
+    sizes = [ca.SX(0, 1)]
+    for weight, (_, held) in zip(weights[1:], others, strict=True):
+        columns.append(held.in_rows())
+        sizes.append(weight * held.scale)
+    if spread and others:
+        columns += [-shift, *(each - shift for each in apart)]
+        sizes += weights
+    scaled = Factors(base.unit, weights[0] * base.scale, base.order, base.scalar)
+    return first + shift, Wide(scaled, ca.horzcat(*columns), ca.vertcat(*sizes))
+
+
+def packed_factors(several: Iterable[Factors | None]) -> ca.SX:
+    """Factors of several covariances, one after the other."""
+    return ca.vertcat(*(each.packed for each in several if each is not None))
 
 
 def _balanced(terms: list[ca.SX]) -> ca.SX:
@@ -298,16 +360,33 @@ def _cost(plant: Plant, order: tuple[int, ...]) -> int:
     return operations(P.moved(plant.A, columns, weights).packed) + rows
 
 
+def begun(
+    builder: PhaseBuilder,
+    P: ca.SX,
+    how: tuple[Sequence[int], str],
+    kept: Sequence[int] | None = None,
+) -> ca.SX:
+    """Factors of a packed prior, in an order and a scalar, or of some rows of it, 0 elsewhere."""
+    n, (order, scalar) = len(how[0]), how
+    covariance = unpack(P, n)
+    if kept is not None:
+        whole, rows = ca.SX(n, n), list(kept)
+        whole[rows, rows] = covariance[rows, rows]
+        covariance = sparse(whole)
+    found, short = factors_of(covariance, order, scalar)
+    builder.demand(Kind.NONNEGATIVE, ca.vertsplit(short), Status.NOT_POSITIVE_DEFINITE)
+    return found.packed
+
+
 def started(
-    spec: Spec, symbols: Mapping[str, ca.SX], ports: Sequence[str], order: Sequence[int]
+    spec: Spec, symbols: Mapping[str, ca.SX], ports: Mapping[str, int], order: Sequence[int]
 ) -> Phase:
-    """The phase that factors the prior, for each of these ports."""
+    """The phase that factors the prior, so many times for each of these ports."""
     given = prior_symbols(spec.model)
     builder = PhaseBuilder({**symbols, **given})
-    found, short = factors_of(unpack(given["P"], len(order)), order, spec.code.scalar)
-    builder.demand(Kind.NONNEGATIVE, ca.vertsplit(short), Status.NOT_POSITIVE_DEFINITE)
+    found = begun(builder, given["P"], (order, spec.code.scalar))
     with builder.titled("factors of the prior"):
-        builder.assign(dict.fromkeys(ports, found.packed))
+        builder.assign({name: ca.repmat(found, count) for name, count in ports.items()})
     return builder.phase()
 
 

@@ -64,7 +64,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         ports = (*factor_ports(plant.ne, beside), *ports)
     symbols = symbols_of(spec, plant, ports)
     if form == "ud":
-        begun = ("predicted_factors", *(() if beside else ("filtered_factors",)))
+        begun = {"predicted_factors": 1} | ({} if beside else {"filtered_factors": 1})
         start = started(spec, symbols, begun, order)
         notes += factors_note(order, spec)
     return Recursion(
