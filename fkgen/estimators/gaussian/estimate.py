@@ -16,6 +16,7 @@ from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.blocked import moved_covariance, moved_mean
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
+from fkgen.estimators.gaussian.rolled import is_rolled
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
@@ -79,10 +80,14 @@ def update_form(
     covariances it carries.
     """
     float_, stated, size = spec.code.scalar == "float", spec.code.update, FACTORED_STATES
+    rows = measurement_of(
+        plant, y=ca.SX(plant.ny, 1), C=plant.C, offset=ca.SX(plant.ny, 1), R=plant.R
+    )
     small = spec.code.form != "loops" and many * plant.ne**3 <= size**3
+    small = small and not is_rolled(rows, with_gain=False)
     if stated == "ud" and not (factored and small):
-        why = f"{many} covariances of {plant.ne} states" if factored else spec.filter.family
-        expected = f"{size} states at most (in all {size**3} as a sum of cubes), no loops"
+        why = f"{many} x {plant.ne} states, {plant.ny} rows" if factored else spec.filter.family
+        expected = f"code.form without loops, {size} states at most and few rows of y"
         expected = expected if factored else '"joseph": this filter has no factored form here'
         at = Place(spec.file, "code").entry("update")
         raise at.error(f'"ud" for {why}', expected)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import casadi as ca
 
@@ -34,9 +33,9 @@ from fkgen.symbolic.plant import DENSE_STATES, Plant
 #: Shares of a column that agree to so many decimals are the same.
 DIGITS = 13
 
-#: How many times as large as what it is added to the variance of the spread of means may be: a
-#: product of one vector with itself is rounded in every direction, and no more must be left of that
-#: than the variances there bear.
+#: How many times as large as the variances that it is added to the spread of means may be. A
+#: product of one vector with itself is rounded in every direction, and what is left of that is to
+#: be small beside those variances.
 WIDEST = {"double": 1e9, "float": 1e3}
 
 #: Mean and packed covariance.
@@ -96,51 +95,32 @@ class Chart:
         return state, self.builder.define(f"turned{of}", packed)
 
 
-def bounded(
-    builder: PhaseBuilder,
-    name: str,
-    spread: tuple[ca.SX, ca.SX],
-    within: list[ca.SX],
-    scalar: str,
-) -> ca.SX:
-    """The factor of a squared difference of means, less where that is beyond `WIDEST`.
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What spreads of means are measured by: reciprocals of `WIDEST` times variances, (n,).
 
-    ``spread`` is the factor and the difference, ``within`` are the variances that it is added to,
-    without any spread. Means so far apart are those of a sample that no mode expects, and what is
-    left of their spread is still more than any other.
+    Means that are further apart are those of a sample that no mode expects. What is left of their
+    spread is still more than any other.
     """
-    factor, apart = spread
-    limits = [WIDEST[scalar] * each for each in within]
-    squares = [factor * (each * each) for each in ca.vertsplit(ca.densify(apart))]
-    excess = [square - limit for square, limit in zip(squares, limits, strict=True)]
-    found = builder.local(name, 1)
-    builder.assign({name: factor})
-    with builder.if_positive(reduce(ca.fmax, excess)):
-        least = TINY[scalar]
-        shares = [
-            (limit + (limit <= 0)) / ca.fmax(square, least)
-            for limit, square in zip(limits, squares, strict=True)
-        ]
-        builder.assign({name: factor * reduce(ca.fmin, shares, ca.SX(1))})
-    return found
 
+    reciprocals: ca.SX
+    scalar: str
 
-def bounded_all(
-    builder: PhaseBuilder,
-    name: str,
-    mixed: tuple[ca.SX, Sequence[Gaussian]],
-    apart: Sequence[ca.SX],
-    scalar: str,
-) -> ca.SX:
-    """The same for each part of a mixture, of weights and parts: weights of the spread."""
-    weights, own = mixed
-    variances = ca.vertcat(*diagonal(weighted_sum(weights, [packed for _, packed in own])))
-    within = ca.vertsplit(builder.define(f"{name}_within", variances))
-    parts = enumerate(apart)
-    found = [
-        bounded(builder, f"{name}_factor_{i}", (weights[i], d), within, scalar) for i, d in parts
-    ]
-    return column(found)
+    @classmethod
+    def of(cls, builder: PhaseBuilder, name: str, parts: Sequence[Gaussian], scalar: str) -> Limits:
+        """Those of the variances of all parts together; none where nothing varies."""
+        variances = [ca.vertcat(*diagonal(packed)) for _, packed in parts]
+        whole = WIDEST[scalar] * total(variances)
+        nothing = whole <= 0
+        return cls(builder.define(f"{name}_limits", (1 - nothing) / (whole + nothing)), scalar)
+
+    def largest(self, apart: ca.SX) -> ca.SX:
+        """The largest factor of the square of a difference of means."""
+        return 1 / (ca.dot(self.reciprocals, apart * apart) + TINY[self.scalar])
+
+    def bounded(self, weights: ca.SX, apart: Sequence[ca.SX]) -> ca.SX:
+        """Weights of such squares, or less, (N, 1)."""
+        return column([ca.fmin(weights[i], self.largest(each)) for i, each in enumerate(apart)])
 
 
 def mixture(
@@ -163,7 +143,8 @@ def mixture(
     apart = [each - mean for each, _ in own]
     name = f"{chart.name}_covariance{tag}"
     if lasting and len(own) > 1:
-        spread = bounded_all(chart.builder, name, (weights, own), apart, chart.plant.scalar)
+        limits = Limits.of(chart.builder, f"{chart.name}{tag}", own, chart.plant.scalar)
+        spread = chart.builder.define(f"{name}_outer", limits.bounded(weights, apart))
     if order(own[0][1]) < DENSE_STATES or not named:
         covariance = mixture_covariance(weights, own, mean, spread)
         return chart.outward((mean, covariance), tag)
@@ -286,10 +267,11 @@ class Mixer:
         *,
         lasting: bool = True,
     ) -> None:
-        self.builder, self.name, self.parts, self.scalar = builder, name, parts, scalar
-        self.tiny, self.lasting = TINY[scalar], lasting
-        self._products: dict[range, ca.SX] = {}
-        self._known: dict[tuple[object, ...], tuple[Gaussian, list[ca.SX]]] = {}
+        self.builder, self.name, self.parts = builder, name, parts
+        self.tiny = TINY[scalar]
+        self.limits = Limits.of(builder, name, parts, scalar) if lasting else None
+        self._products: dict[range, tuple[ca.SX | None, ca.SX]] = {}
+        self._known: dict[tuple[object, ...], Gaussian] = {}
 
     def under(
         self, weights: ca.SX, tag: str = "", column: tuple[float, ...] | None = None
@@ -299,16 +281,15 @@ class Mixer:
         ``column`` is what the weights are proportional to besides a common factor of each
         Gaussian; none of it may be zero.
         """
-        return self._merge(range(len(self.parts)), weights, tag, column)[0]
+        return self._merge(range(len(self.parts)), weights, tag, column)
 
     def _merge(
         self, which: range, weights: ca.SX, tag: str, column: tuple[float, ...] | None
-    ) -> tuple[Gaussian, list[ca.SX]]:
-        """The Gaussian of the parts in ``which``, by halves, and its variances but for spreads."""
+    ) -> Gaussian:
+        """The Gaussian of the parts in ``which``, by halves."""
         alive = [i for i in which if not is_zero(weights[i])]
         if len(alive) <= 1:
-            alone = self.parts[alive[0] if alive else which[0]]
-            return alone, diagonal(alone[1])
+            return self.parts[alive[0] if alive else which[0]]
         key = (which, tag if column is None else _shape(column, which))
         if key in self._known:
             return self._known[key]
@@ -319,23 +300,21 @@ class Mixer:
                 return self._merge(other, weights, tag, column)
         label = f"{self.name}{tag}_{which[0]}_{which[-1]}"
         share = self._share([total(weights[i] for i in half) for half in halves], label, which)
-        pair = [self._merge(half, weights, tag, column) for half in halves]
-        (x, P), (z, Q) = (each for each, _ in pair)
+        (x, P), (z, Q) = (self._merge(half, weights, tag, column) for half in halves)
         mean = self.builder.define(f"{label}_mean", share[0] * x + share[1] * z)
         name, factor = f"{label}_covariance", share[0] * share[1]
-        within: list[ca.SX] = []
-        if self.lasting:
-            own = zip(pair[0][1], pair[1][1], strict=True)
-            sums = ca.vertcat(*(share[0] * a + share[1] * b for a, b in own))
-            within = ca.vertsplit(self.builder.define(f"{label}_within", sums))
-            spread = factor, x - z
-            factor = bounded(self.builder, f"{label}_factor", spread, within, self.scalar)
         if order(P) >= DENSE_STATES:
+            if self.limits is not None:
+                bounded = ca.fmin(factor, self.limits.largest(x - z))
+                factor = self.builder.define(f"{label}_factor", bounded)
             covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (factor, [x - z]))
         else:
-            outer = self._spread(which, x, z, label)(factor)
+            largest, product = self._spread(which, x, z, label)
+            if largest is not None:
+                factor = self.builder.define(f"{label}_factor", ca.fmin(factor, largest))
+            outer = product(factor)
             covariance = self.builder.define(name, share[0] * P + share[1] * Q + outer)
-        self._known[key] = (mean, covariance), within
+        self._known[key] = mean, covariance
         return self._known[key]
 
     def _share(self, masses: list[ca.SX], label: str, which: range) -> ca.SX:
@@ -347,17 +326,25 @@ class Mixer:
             masses = [mass * inverse for mass in masses]
         return self.builder.define(f"{label}_share", column(masses))
 
-    def _spread(self, which: range, x: ca.SX, z: ca.SX, label: str) -> Callable[[ca.SX], ca.SX]:
-        """Product of the difference of two means with itself, times a factor; shared for leaves."""
-        if len(which) > 2:
-            difference = self.builder.define(f"{label}_apart", x - z)
-            return lambda factor: outer_lower(factor * difference, difference)
-        if which not in self._products:
-            name = f"{self.name}_apart_{which[0]}_{which[-1]}"
-            difference = self.builder.define(name, x - z)
-            product = self.builder.define(f"{name}_squared", outer_lower(difference, difference))
-            self._products[which] = product
-        return lambda factor: factor * self._products[which]
+    def _spread(
+        self, which: range, x: ca.SX, z: ca.SX, label: str
+    ) -> tuple[ca.SX | None, Callable[[ca.SX], ca.SX]]:
+        """Product of the difference of two means with itself, times a factor; shared for leaves.
+
+        Before it the largest such factor.
+        """
+        builder, limits, pair = self.builder, self.limits, len(which) == 2
+        if which in self._products:
+            largest, product = self._products[which]
+            return largest, lambda factor: factor * product
+        name = f"{self.name}_apart_{which[0]}_{which[-1]}" if pair else f"{label}_apart"
+        apart = builder.define(name, x - z)
+        largest = None if limits is None else builder.define(f"{name}_most", limits.largest(apart))
+        if not pair:
+            return largest, lambda factor: outer_lower(factor * apart, apart)
+        product = builder.define(f"{name}_squared", outer_lower(apart, apart))
+        self._products[which] = largest, product
+        return largest, lambda factor: factor * product
 
 
 def _shape(column: tuple[float, ...], which: range) -> tuple[float, ...]:

@@ -50,8 +50,8 @@ from fkgen.estimators.gaussian.ud import (
 from fkgen.estimators.models.merge import (
     Chart,
     Gaussian,
+    Limits,
     Mixer,
-    bounded_all,
     combined_innovation,
     mixture,
     mixture_covariance,
@@ -175,6 +175,12 @@ class Modes:
         if rows:
             return advance_varying(builder, rows, now, scalar)
         return advance(builder, self.kernel, now, scalar, mixing=mixing)
+
+    @property
+    def forgets(self) -> bool:
+        """Whether some mode comes after every mode alike: it goes on from what all say together."""
+        rows = zip(*self.kernel, strict=True)
+        return self.chain.independent or any(len(set(entries)) == 1 for entries in rows)
 
     @property
     def note(self) -> str:
@@ -496,8 +502,9 @@ def one_step_optimal(spec: Spec) -> Recursion:
         demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
-            apart, scalar = [mean - state for mean, _ in parts], spec.code.scalar
-            outer = bounded_all(builder, "combined", (weights, parts), apart, scalar)
+            limits = Limits.of(builder, "combined", parts, spec.code.scalar)
+            outer = limits.bounded(weights, [mean - state for mean, _ in parts])
+            outer = builder.define("combined_outer", outer)
             covariance = mixture_covariance(weights, parts, state, outer)
         alone = covariances[:beside]
         if plant.attitudes:
@@ -611,7 +618,8 @@ def interacting_models(spec: Spec) -> Recursion:
         parts = [(one.mean, one.covariance) for one in each]
         chart = Chart(builder, filtering.plants[0], "combination", parts[0][0])
         flat = chart.inward(parts)
-        mixer = Mixer(builder, "combined", flat, spec.code.scalar, lasting=not order)
+        lasting = filtering.modes.forgets and not order
+        mixer = Mixer(builder, "combined", flat, spec.code.scalar, lasting=lasting)
         state, covariance = chart.outward(mixer.under(weights))
         demand_finite(builder, state)
         held = packed_factors(one.factors for one in each)
