@@ -9,7 +9,7 @@ from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_list
 
 Scalar = Literal["double", "float"]
-Update = Literal["auto", "short", "joseph"]
+Update = Literal["auto", "short", "joseph", "ud"]
 Copies = Literal["static", "shared"]
 CodeForm = Literal["auto", "straight", "loops"]
 Optimise = Literal["speed", "size"]
@@ -20,7 +20,8 @@ class Code:
     """Options of the generated code."""
 
     scalar: Scalar = "double"  # The real type of C: "double" or "float"
-    #: Form of the covariance update: "short", "joseph", or "auto" to let fkgen choose
+    #: How covariances are updated: "short", "joseph", "ud" (they are carried as factors U D U'), or
+    #: "auto" to let fkgen choose
     update: Update = "auto"
     #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
     #: files beside it, the same for all filters of one program

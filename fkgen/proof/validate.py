@@ -122,10 +122,18 @@ def _end_of(recursion: Recursion, found: Found) -> Claim:
 def put(instance: Interpreter, name: str, value: Array) -> None:
     """Set a port to what is not packed; one covariance is for all where there are several."""
     port = instance.recursion.port(name)
-    if port.symmetric:
-        rows, columns = np.tril_indices(port.shape[-1])
-        value = np.broadcast_to(value, port.shape)[..., rows, columns]
-    instance.values[name] = value.ravel()
+    if not port.symmetric:
+        instance.values[name] = value.ravel()
+        return
+    rows, columns = np.tril_indices(port.shape[-1])
+    packed = np.broadcast_to(value, port.shape)[..., rows, columns].reshape(-1, len(rows))
+    instance.values[name] = packed.ravel()
+    factors, recursion = name.replace("covariance", "factors"), instance.recursion
+    if factors in recursion.initial and any(recursion.initial[factors]):
+        own = [{"P": tuple(each.tolist())} for each in packed]
+        begun = [recursion.begun(recursion.spec.defaults, each)[factors] for each in own]
+        parts = [np.array(each).reshape(len(own), -1)[i] for i, each in enumerate(begun)]
+        instance.values[factors] = np.concatenate(parts)
 
 
 def _start_of(recursion: Recursion) -> Claim:

@@ -64,7 +64,8 @@ class Plant:
     lifted: Lifted | None = None
     moved: ca.SX | None = None  # moved, seen: (n, 1), (p, 1), f and h where it is linearised
     seen: ca.SX | None = None
-    spread: ca.SX | None = None  # packed G Var(w) G' there
+    spread: ca.SX | None = None  # packed G Var(w) G' there, and G
+    G: ca.SX | None = None
 
     @property
     def ne(self) -> int:

@@ -48,6 +48,33 @@ def estimate_ports(
     )
 
 
+#: How factors are stored.
+_FACTORS = "by columns: U D U' with U unit upper triangular; D in place of its diagonal"
+
+
+def mode_factor_ports(ne: int, extras: Sequence[int]) -> tuple[Port, Port]:
+    """Those of every mode one after the other, with ``extras`` numbers beside x once filtered."""
+    own, joint = len(triangle(ne)), sum(len(triangle(ne + extra)) for extra in extras)
+    twin = "" if any(extras) else "mode_filtered_factors"
+    shape = (len(extras), own)
+    later = (joint,) if any(extras) else shape
+    return (
+        carried("mode_factors", shape, f"factors of mode_covariance, {_FACTORS}", corrected=twin),
+        carried("mode_filtered_factors", later, "the same of mode_filtered_covariance"),
+    )
+
+
+def factor_ports(ne: int, extra: int = 0) -> tuple[Port, Port]:
+    """Factors of predicted and filtered covariance, of the latter with ``extra`` numbers beside."""
+    own, joint = len(triangle(ne)), len(triangle(ne + extra))
+    twin = "" if extra else "filtered_factors"
+    beside = " with what y tells of beside x" if extra else ""
+    return (
+        carried("predicted_factors", (own,), f"factors of P(k+1|k), {_FACTORS}", corrected=twin),
+        carried("filtered_factors", (joint,), f"factors of P(k|k){beside}, {_FACTORS}"),
+    )
+
+
 def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"

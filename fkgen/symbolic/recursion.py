@@ -215,8 +215,8 @@ class Recursion:
     predict: Phase
     #: The last part of an update, for the samples at which something comes to an end
     closing: Phase | None = None
-    #: Of the covariance update, "short" or "joseph"; None where nothing is updated
-    form: Literal["short", "joseph"] | None = None
+    #: Of the covariance update, "short", "joseph" or "ud"; None where nothing is updated
+    form: Literal["short", "joseph", "ud"] | None = None
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     #: Statuses in place of OK, the first that applies
     outcomes: tuple[Outcome, ...] = ()
@@ -259,12 +259,18 @@ class Recursion:
         closing = () if self.closing is None else (self.closing,)
         return self.update, *closing, self.predict
 
-    def begun(self, parameters: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
-        """Start values that follow from the prior, and from the parameters of sample 0."""
+    def begun(
+        self, parameters: Mapping[str, float], other: Mapping[str, tuple[float, ...]] | None = None
+    ) -> dict[str, tuple[float, ...]]:
+        """Start values that follow from the prior, and from the parameters of sample 0.
+
+        ``other``: mean ``x`` or packed covariance ``P`` in place of those of the spec.
+        """
         given = {PARAMETER + name: (float(value),) for name, value in parameters.items()}
         prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
         if self.prior is not None:
             prior = _evaluated(self.prior, given)
+        prior |= other or {}
         copied = {port.name: prior[port.prior] for port in self.ports if port.prior}
         copied = {name: v * (self.port(name).size // len(v)) for name, v in copied.items()}
         return copied | ({} if self.start is None else _evaluated(self.start, given | prior))

@@ -235,6 +235,210 @@ BATTERY_INLINE void battery_copy(const double *from, double *to, int size)
     }
 }
 
+/* combined prediction; part 2; combination. */
+BATTERY_INLINE void battery_part_6(const double *share, const double *moved_state_0,
+    const double *moved_state_1, double *predicted_0_1_mean)
+{
+    predicted_0_1_mean[0] = (share[0] * moved_state_0[0]) + (share[1] * moved_state_1[0]);
+    predicted_0_1_mean[1] = (share[0] * moved_state_0[1]) + (share[1] * moved_state_1[1]);
+}
+
+/* combined prediction; part 2; combination. */
+BATTERY_INLINE void battery_part_7(const double *share, const double *moved_state_0,
+    const double *moved_state_1, double *mean)
+{
+    battery_part_6(share, moved_state_0, moved_state_1, mean);
+    battery_part_6(share, &moved_state_0[2], &moved_state_1[2], &mean[2]);
+}
+
+/* part 2; combination. */
+BATTERY_INLINE void battery_part_3(const double *combined_share, const double combined_0_1_within,
+    const double combined_2_3_within, double *combined_within, double *combined_factor,
+    const double *mean, const double *combined_2_3_mean, double *combined_apart)
+{
+    const double t0 = combined_share[0] * combined_0_1_within;
+    combined_within[3] = t0 + (combined_share[1] * combined_2_3_within);
+    combined_factor[0] = combined_share[0] * combined_share[1];
+    const double t1 = combined_share[0] * combined_share[1];
+    const double t2 = mean[0] - combined_2_3_mean[0];
+    const double t3 = (t1 * (t2 * t2)) - (1000000000.0 * combined_within[0]);
+    const double t4 = mean[1] - combined_2_3_mean[1];
+    const double t5 = (t1 * (t4 * t4)) - (1000000000.0 * combined_within[1]);
+    const double t6 = (t3 > t5) ? t3 : t5;
+    const double t7 = mean[2] - combined_2_3_mean[2];
+    const double t8 = (t1 * (t7 * t7)) - (1000000000.0 * combined_within[2]);
+    const double t9 = (t6 > t8) ? t6 : t8;
+    const double t10 = mean[3] - combined_2_3_mean[3];
+    const double t11 = (t1 * (t10 * t10)) - (1000000000.0 * combined_within[3]);
+    const double t12 = (t9 > t11) ? t9 : t11;
+    if (t12 > 0.0)
+    {
+        const double t13 = combined_share[0] * combined_share[1];
+        const double t14 = 1000000000.0 * combined_within[0];
+        const double t15 = t14 + ((t14 <= 0.0) ? 1.0 : 0.0);
+        const double t16 = mean[0] - combined_2_3_mean[0];
+        const double t17 = t13 * (t16 * t16);
+        const double t18 = (t17 > BATTERY_TINY) ? t17 : BATTERY_TINY;
+        const double t19 = t15 / t18;
+        const double t20 = (1.0 < t19) ? 1.0 : t19;
+        const double t21 = 1000000000.0 * combined_within[1];
+        const double t22 = t21 + ((t21 <= 0.0) ? 1.0 : 0.0);
+        const double t23 = mean[1] - combined_2_3_mean[1];
+        const double t24 = t13 * (t23 * t23);
+        const double t25 = (t24 > BATTERY_TINY) ? t24 : BATTERY_TINY;
+        const double t26 = t22 / t25;
+        const double t27 = (t20 < t26) ? t20 : t26;
+        const double t28 = 1000000000.0 * combined_within[2];
+        const double t29 = t28 + ((t28 <= 0.0) ? 1.0 : 0.0);
+        const double t30 = mean[2] - combined_2_3_mean[2];
+        const double t31 = t13 * (t30 * t30);
+        const double t32 = (t31 > BATTERY_TINY) ? t31 : BATTERY_TINY;
+        const double t33 = t29 / t32;
+        const double t34 = (t27 < t33) ? t27 : t33;
+        const double t35 = 1000000000.0 * combined_within[3];
+        const double t36 = t35 + ((t35 <= 0.0) ? 1.0 : 0.0);
+        const double t37 = mean[3] - combined_2_3_mean[3];
+        const double t38 = t13 * (t37 * t37);
+        const double t39 = (t38 > BATTERY_TINY) ? t38 : BATTERY_TINY;
+        const double t40 = t36 / t39;
+        const double t41 = (t34 < t40) ? t34 : t40;
+        combined_factor[0] = t13 * t41;
+    }
+    combined_apart[0] = mean[0] - combined_2_3_mean[0];
+    combined_apart[1] = mean[1] - combined_2_3_mean[1];
+    combined_apart[2] = mean[2] - combined_2_3_mean[2];
+    combined_apart[3] = mean[3] - combined_2_3_mean[3];
+}
+
+/* combination; mixing and prediction of every mode. */
+BATTERY_INLINE void battery_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
+    const double *combined_0_1_within, const double *combined_2_3_within,
+    const double *combined_0_1_covariance, const double *combined_2_3_covariance,
+    double *combined_0_3_covariance)
+{
+    double combined_0_3_within[4];
+    double combined_0_3_factor;
+    double combined_0_3_apart[4];
+    battery_part_7(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean);
+    battery_part_6(combined_0_3_share, combined_0_1_within, combined_2_3_within,
+        combined_0_3_within);
+    const double t0 = combined_0_3_share[0] * combined_0_1_within[2];
+    combined_0_3_within[2] = t0 + (combined_0_3_share[1] * combined_2_3_within[2]);
+    battery_part_3(combined_0_3_share, combined_0_1_within[3], combined_2_3_within[3],
+        combined_0_3_within, &combined_0_3_factor, combined_0_1_mean, combined_2_3_mean,
+        combined_0_3_apart);
+    const double t1 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t2 = t1 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t3 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
+    combined_0_3_covariance[0] = t2 + t3;
+    const double t4 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t5 = t4 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t6 = combined_0_3_factor * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t5 + (t6 * combined_0_3_apart[0]);
+    const double t7 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t8 = t7 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t8 + (t6 * combined_0_3_apart[1]);
+    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t11 = combined_0_3_factor * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t10 + (t11 * combined_0_3_apart[0]);
+    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t13 = t12 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t13 + (t11 * combined_0_3_apart[1]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t15 + (t11 * combined_0_3_apart[2]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[6];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[6]);
+    const double t18 = combined_0_3_factor * combined_0_3_apart[3];
+    combined_0_3_covariance[6] = t17 + (t18 * combined_0_3_apart[0]);
+    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[7];
+    const double t20 = t19 + (combined_0_3_share[1] * combined_2_3_covariance[7]);
+    combined_0_3_covariance[7] = t20 + (t18 * combined_0_3_apart[1]);
+    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[8];
+    const double t22 = t21 + (combined_0_3_share[1] * combined_2_3_covariance[8]);
+    combined_0_3_covariance[8] = t22 + (t18 * combined_0_3_apart[2]);
+    const double t23 = combined_0_3_share[0] * combined_0_1_covariance[9];
+    const double t24 = t23 + (combined_0_3_share[1] * combined_2_3_covariance[9]);
+    combined_0_3_covariance[9] = t24 + (t18 * combined_0_3_apart[3]);
+}
+
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction(const double *path_share,
+    const double path_share_inverse, double *mixed_share, const double *mode_filtered_state,
+    double *mixed_mean, const double *mode_filtered_covariance, double *mixed_within,
+    double *mixed_factor)
+{
+    double mixed_inverse;
+    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
+    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
+    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
+    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
+    const double t1 = mixed_share[0] * mode_filtered_state[0];
+    mixed_mean[0] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t2 + (mixed_share[1] * mode_filtered_state[5]);
+    const double t3 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t3 + (mixed_share[1] * mode_filtered_state[6]);
+    const double t4 = mixed_share[0] * mode_filtered_state[3];
+    mixed_mean[3] = t4 + (mixed_share[1] * mode_filtered_state[7]);
+    const double t5 = mixed_share[0] * mode_filtered_covariance[0];
+    mixed_within[0] = t5 + (mixed_share[1] * mode_filtered_covariance[10]);
+    const double t6 = mixed_share[0] * mode_filtered_covariance[2];
+    mixed_within[1] = t6 + (mixed_share[1] * mode_filtered_covariance[12]);
+    const double t7 = mixed_share[0] * mode_filtered_covariance[5];
+    mixed_within[2] = t7 + (mixed_share[1] * mode_filtered_covariance[15]);
+    const double t8 = mixed_share[0] * mode_filtered_covariance[9];
+    mixed_within[3] = t8 + (mixed_share[1] * mode_filtered_covariance[19]);
+    mixed_factor[0] = mixed_share[0] * mixed_share[1];
+    const double t9 = mixed_share[0] * mixed_share[1];
+    const double t10 = mode_filtered_state[0] - mode_filtered_state[4];
+    const double t11 = (t9 * (t10 * t10)) - (1000000000.0 * mixed_within[0]);
+    const double t12 = mode_filtered_state[1] - mode_filtered_state[5];
+    const double t13 = (t9 * (t12 * t12)) - (1000000000.0 * mixed_within[1]);
+    const double t14 = (t11 > t13) ? t11 : t13;
+    const double t15 = mode_filtered_state[2] - mode_filtered_state[6];
+    const double t16 = (t9 * (t15 * t15)) - (1000000000.0 * mixed_within[2]);
+    const double t17 = (t14 > t16) ? t14 : t16;
+    const double t18 = mode_filtered_state[3] - mode_filtered_state[7];
+    const double t19 = (t9 * (t18 * t18)) - (1000000000.0 * mixed_within[3]);
+    const double t20 = (t17 > t19) ? t17 : t19;
+    if (t20 > 0.0)
+    {
+        const double t21 = mixed_share[0] * mixed_share[1];
+        const double t22 = 1000000000.0 * mixed_within[0];
+        const double t23 = t22 + ((t22 <= 0.0) ? 1.0 : 0.0);
+        const double t24 = mode_filtered_state[0] - mode_filtered_state[4];
+        const double t25 = t21 * (t24 * t24);
+        const double t26 = (t25 > BATTERY_TINY) ? t25 : BATTERY_TINY;
+        const double t27 = t23 / t26;
+        const double t28 = (1.0 < t27) ? 1.0 : t27;
+        const double t29 = 1000000000.0 * mixed_within[1];
+        const double t30 = t29 + ((t29 <= 0.0) ? 1.0 : 0.0);
+        const double t31 = mode_filtered_state[1] - mode_filtered_state[5];
+        const double t32 = t21 * (t31 * t31);
+        const double t33 = (t32 > BATTERY_TINY) ? t32 : BATTERY_TINY;
+        const double t34 = t30 / t33;
+        const double t35 = (t28 < t34) ? t28 : t34;
+        const double t36 = 1000000000.0 * mixed_within[2];
+        const double t37 = t36 + ((t36 <= 0.0) ? 1.0 : 0.0);
+        const double t38 = mode_filtered_state[2] - mode_filtered_state[6];
+        const double t39 = t21 * (t38 * t38);
+        const double t40 = (t39 > BATTERY_TINY) ? t39 : BATTERY_TINY;
+        const double t41 = t37 / t40;
+        const double t42 = (t35 < t41) ? t35 : t41;
+        const double t43 = 1000000000.0 * mixed_within[3];
+        const double t44 = t43 + ((t43 <= 0.0) ? 1.0 : 0.0);
+        const double t45 = mode_filtered_state[3] - mode_filtered_state[7];
+        const double t46 = t21 * (t45 * t45);
+        const double t47 = (t46 > BATTERY_TINY) ? t46 : BATTERY_TINY;
+        const double t48 = t44 / t47;
+        const double t49 = (t42 < t48) ? t42 : t48;
+        mixed_factor[0] = t21 * t49;
+    }
+}
+
 /* mode 0: signal, R; mode 2: no signal, R. */
 BATTERY_INLINE void battery_mode_5(const double *mode_state, double *mean,
     const double *mode_covariance, double *covariance)
@@ -356,21 +560,29 @@ BATTERY_INLINE battery_status_t battery_mode(const double *y, const double *mode
     return BATTERY_OK;
 }
 
-/* part 2; part 3. */
-BATTERY_INLINE void battery_part_6(const double *share, const double *mean, const double *mean_2,
-    double *mean_3, double *apart)
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_2(const double *mixed_share,
+    const double *mode_filtered_covariance, const double mixed_factor,
+    const double *mixed_apart_squared, double *mixed_covariance)
 {
-    mean_3[0] = (share[0] * mean[0]) + (share[1] * mean_2[0]);
-    mean_3[1] = (share[0] * mean[1]) + (share[1] * mean_2[1]);
-    mean_3[2] = (share[0] * mean[2]) + (share[1] * mean_2[2]);
-    mean_3[3] = (share[0] * mean[3]) + (share[1] * mean_2[3]);
-    apart[0] = mean[0] - mean_2[0];
-    apart[1] = mean[1] - mean_2[1];
-    apart[2] = mean[2] - mean_2[2];
-    apart[3] = mean[3] - mean_2[3];
+    const double t0 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t1 = t0 + (mixed_share[1] * mode_filtered_covariance[10]);
+    mixed_covariance[0] = t1 + (mixed_factor * mixed_apart_squared[0]);
+    const double t2 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t3 = t2 + (mixed_share[1] * mode_filtered_covariance[11]);
+    mixed_covariance[1] = t3 + (mixed_factor * mixed_apart_squared[1]);
+    const double t4 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t5 = t4 + (mixed_share[1] * mode_filtered_covariance[12]);
+    mixed_covariance[2] = t5 + (mixed_factor * mixed_apart_squared[2]);
+    const double t6 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t7 = t6 + (mixed_share[1] * mode_filtered_covariance[13]);
+    mixed_covariance[3] = t7 + (mixed_factor * mixed_apart_squared[3]);
+    const double t8 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t9 = t8 + (mixed_share[1] * mode_filtered_covariance[14]);
+    mixed_covariance[4] = t9 + (mixed_factor * mixed_apart_squared[4]);
 }
 
-/* mixing and prediction of every mode; part 2. */
+/* mixing and prediction of every mode; combined prediction; combination. */
 BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
@@ -385,119 +597,50 @@ BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
     apart_squared[9] = apart[3] * apart[3];
 }
 
-/* combination; combined prediction. */
-BATTERY_INLINE void battery_part_2(const double *share, const double *mean_m0,
-    const double *mean_m1, double *mean, const double *covariance, const double *covariance_2,
-    double *covariance_3)
+/* combination. */
+BATTERY_INLINE void battery_combination_2(const double *combined_share, const double *covariance,
+    const double *covariance_2, const double combined_factor, const double *combined_apart_squared,
+    double *combined_covariance)
 {
-    double apart[4];
-    double apart_squared[10];
-    battery_part_6(share, mean_m0, mean_m1, mean, apart);
-    battery_part_5(apart, apart_squared);
-    const double t0 = (share[0] * covariance[0]) + (share[1] * covariance_2[0]);
-    const double t1 = share[0] * share[1];
-    covariance_3[0] = t0 + (t1 * apart_squared[0]);
-    const double t2 = (share[0] * covariance[1]) + (share[1] * covariance_2[1]);
-    covariance_3[1] = t2 + (t1 * apart_squared[1]);
-    const double t3 = (share[0] * covariance[2]) + (share[1] * covariance_2[2]);
-    covariance_3[2] = t3 + (t1 * apart_squared[2]);
-    const double t4 = (share[0] * covariance[3]) + (share[1] * covariance_2[3]);
-    covariance_3[3] = t4 + (t1 * apart_squared[3]);
-    const double t5 = (share[0] * covariance[4]) + (share[1] * covariance_2[4]);
-    covariance_3[4] = t5 + (t1 * apart_squared[4]);
-    const double t6 = (share[0] * covariance[5]) + (share[1] * covariance_2[5]);
-    covariance_3[5] = t6 + (t1 * apart_squared[5]);
-    const double t7 = (share[0] * covariance[6]) + (share[1] * covariance_2[6]);
-    covariance_3[6] = t7 + (t1 * apart_squared[6]);
-    const double t8 = (share[0] * covariance[7]) + (share[1] * covariance_2[7]);
-    covariance_3[7] = t8 + (t1 * apart_squared[7]);
-    const double t9 = (share[0] * covariance[8]) + (share[1] * covariance_2[8]);
-    covariance_3[8] = t9 + (t1 * apart_squared[8]);
-    const double t10 = (share[0] * covariance[9]) + (share[1] * covariance_2[9]);
-    covariance_3[9] = t10 + (t1 * apart_squared[9]);
+    const double t0 = (combined_share[0] * covariance[0]) + (combined_share[1] * covariance_2[0]);
+    combined_covariance[0] = t0 + (combined_factor * combined_apart_squared[0]);
+    const double t1 = (combined_share[0] * covariance[1]) + (combined_share[1] * covariance_2[1]);
+    combined_covariance[1] = t1 + (combined_factor * combined_apart_squared[1]);
 }
 
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction(const double *mixed_share,
-    const double *mode_filtered_covariance, const double *mixed_apart_squared,
-    double *mixed_covariance)
+/* combination. */
+BATTERY_INLINE void battery_combination(const double *weight, const double *mean,
+    const double *mean_2, double *combined_mean, const double *covariance,
+    const double *covariance_2, double *combined_within, double *combined_covariance)
 {
-    const double t0 = mixed_share[0] * mode_filtered_covariance[0];
-    const double t1 = t0 + (mixed_share[1] * mode_filtered_covariance[10]);
-    const double t2 = mixed_share[0] * mixed_share[1];
-    mixed_covariance[0] = t1 + (t2 * mixed_apart_squared[0]);
-    const double t3 = mixed_share[0] * mode_filtered_covariance[1];
-    const double t4 = t3 + (mixed_share[1] * mode_filtered_covariance[11]);
-    mixed_covariance[1] = t4 + (t2 * mixed_apart_squared[1]);
-    const double t5 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t6 = t5 + (mixed_share[1] * mode_filtered_covariance[12]);
-    mixed_covariance[2] = t6 + (t2 * mixed_apart_squared[2]);
-    const double t7 = mixed_share[0] * mode_filtered_covariance[3];
-    const double t8 = t7 + (mixed_share[1] * mode_filtered_covariance[13]);
-    mixed_covariance[3] = t8 + (t2 * mixed_apart_squared[3]);
-    const double t9 = mixed_share[0] * mode_filtered_covariance[4];
-    const double t10 = t9 + (mixed_share[1] * mode_filtered_covariance[14]);
-    mixed_covariance[4] = t10 + (t2 * mixed_apart_squared[4]);
-    const double t11 = mixed_share[0] * mode_filtered_covariance[5];
-    const double t12 = t11 + (mixed_share[1] * mode_filtered_covariance[15]);
-    mixed_covariance[5] = t12 + (t2 * mixed_apart_squared[5]);
-    const double t13 = mixed_share[0] * mode_filtered_covariance[6];
-    const double t14 = t13 + (mixed_share[1] * mode_filtered_covariance[16]);
-    mixed_covariance[6] = t14 + (t2 * mixed_apart_squared[6]);
-    const double t15 = mixed_share[0] * mode_filtered_covariance[7];
-    const double t16 = t15 + (mixed_share[1] * mode_filtered_covariance[17]);
-    mixed_covariance[7] = t16 + (t2 * mixed_apart_squared[7]);
-    const double t17 = mixed_share[0] * mode_filtered_covariance[8];
-    const double t18 = t17 + (mixed_share[1] * mode_filtered_covariance[18]);
-    mixed_covariance[8] = t18 + (t2 * mixed_apart_squared[8]);
-    const double t19 = mixed_share[0] * mode_filtered_covariance[9];
-    const double t20 = t19 + (mixed_share[1] * mode_filtered_covariance[19]);
-    mixed_covariance[9] = t20 + (t2 * mixed_apart_squared[9]);
-}
-
-/* combination; mixing and prediction of every mode. */
-BATTERY_INLINE void battery_part_3(const double *combined_0_3_share,
-    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
-    const double *combined_0_1_covariance, const double *combined_2_3_covariance,
-    double *combined_0_3_covariance)
-{
-    double combined_0_3_apart[4];
-    battery_part_6(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_3_apart);
-    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
-    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t5 = t2 * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
-    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t10 = t2 * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
-    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
-    const double t15 = combined_0_3_share[0] * combined_0_1_covariance[6];
-    const double t16 = t15 + (combined_0_3_share[1] * combined_2_3_covariance[6]);
-    const double t17 = t2 * combined_0_3_apart[3];
-    combined_0_3_covariance[6] = t16 + (t17 * combined_0_3_apart[0]);
-    const double t18 = combined_0_3_share[0] * combined_0_1_covariance[7];
-    const double t19 = t18 + (combined_0_3_share[1] * combined_2_3_covariance[7]);
-    combined_0_3_covariance[7] = t19 + (t17 * combined_0_3_apart[1]);
-    const double t20 = combined_0_3_share[0] * combined_0_1_covariance[8];
-    const double t21 = t20 + (combined_0_3_share[1] * combined_2_3_covariance[8]);
-    combined_0_3_covariance[8] = t21 + (t17 * combined_0_3_apart[2]);
-    const double t22 = combined_0_3_share[0] * combined_0_1_covariance[9];
-    const double t23 = t22 + (combined_0_3_share[1] * combined_2_3_covariance[9]);
-    combined_0_3_covariance[9] = t23 + (t17 * combined_0_3_apart[3]);
+    double combined_inverse;
+    double combined_share[2];
+    double combined_factor;
+    double combined_apart[4];
+    double combined_apart_squared[10];
+    combined_inverse = 1.0 / (weight[0] + weight[1] + BATTERY_TINY);
+    combined_share[0] = weight[0] * combined_inverse;
+    combined_share[1] = weight[1] * combined_inverse;
+    battery_part_7(combined_share, mean, mean_2, combined_mean);
+    const double t0 = combined_share[0] * covariance[0];
+    combined_within[0] = t0 + (combined_share[1] * covariance_2[0]);
+    const double t1 = combined_share[0] * covariance[2];
+    combined_within[1] = t1 + (combined_share[1] * covariance_2[2]);
+    const double t2 = combined_share[0] * covariance[5];
+    combined_within[2] = t2 + (combined_share[1] * covariance_2[5]);
+    battery_part_3(combined_share, covariance[9], covariance_2[9], combined_within,
+        &combined_factor, mean, mean_2, combined_apart);
+    battery_part_5(combined_apart, combined_apart_squared);
+    battery_combination_2(combined_share, covariance, covariance_2, combined_factor,
+        combined_apart_squared, combined_covariance);
+    battery_combination_2(combined_share, &covariance[2], &covariance_2[2], combined_factor,
+        &combined_apart_squared[2], &combined_covariance[2]);
+    battery_combination_2(combined_share, &covariance[4], &covariance_2[4], combined_factor,
+        &combined_apart_squared[4], &combined_covariance[4]);
+    battery_combination_2(combined_share, &covariance[6], &covariance_2[6], combined_factor,
+        &combined_apart_squared[6], &combined_covariance[6]);
+    battery_combination_2(combined_share, &covariance[8], &covariance_2[8], combined_factor,
+        &combined_apart_squared[8], &combined_covariance[8]);
 }
 
 /* mode 2: no signal, R: row 0 of y, sensor; mode 3: no signal, noise x 1: row 0 of y, sensor. */
@@ -545,26 +688,6 @@ BATTERY_INLINE battery_status_t battery_mode_2(const double innovation_0, double
         determinant_0[0] = pivot_1[0];
     }
     return BATTERY_OK;
-}
-
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_2(const double *path_share,
-    const double path_share_inverse, double *mixed_share, const double *mode_filtered_state,
-    double *mixed_mean)
-{
-    double mixed_inverse;
-    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
-    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
-    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
-    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
-    const double t1 = mixed_share[0] * mode_filtered_state[0];
-    mixed_mean[0] = t1 + (mixed_share[1] * mode_filtered_state[4]);
-    const double t2 = mixed_share[0] * mode_filtered_state[1];
-    mixed_mean[1] = t2 + (mixed_share[1] * mode_filtered_state[5]);
-    const double t3 = mixed_share[0] * mode_filtered_state[2];
-    mixed_mean[2] = t3 + (mixed_share[1] * mode_filtered_state[6]);
-    const double t4 = mixed_share[0] * mode_filtered_state[3];
-    mixed_mean[3] = t4 + (mixed_share[1] * mode_filtered_state[7]);
 }
 
 /* correct; propagate. */
@@ -667,6 +790,17 @@ BATTERY_INLINE void battery_mixing_and_prediction_3(const double *moved, double 
     moved_covariance[8] = mixed_0_3_covariance[8];
 }
 
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_4(const double *mixed_share,
+    const double *mode_filtered_covariance, const double mixed_factor,
+    const double *mixed_apart_squared, double *mixed_covariance)
+{
+    battery_mixing_and_prediction_2(mixed_share, mode_filtered_covariance, mixed_factor,
+        mixed_apart_squared, mixed_covariance);
+    battery_mixing_and_prediction_2(mixed_share, &mode_filtered_covariance[5], mixed_factor,
+        &mixed_apart_squared[5], &mixed_covariance[5]);
+}
+
 /* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 1: innovation, row by
  * row. */
 BATTERY_INLINE void battery_mode_4(const double *y, double *innovation_0, const double seen,
@@ -688,25 +822,28 @@ BATTERY_INLINE void battery_mode_4(const double *y, double *innovation_0, const 
 }
 
 /* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_4(const double *path_share_0,
+BATTERY_INLINE void battery_mixing_and_prediction_5(const double *path_share_0,
     const double path_share_inverse_0, const double *mode_filtered_state, double *mixed_0_mean,
-    double *mixed_apart_squared, const double *mode_filtered_covariance, double *mixed_0_covariance)
+    const double *mode_filtered_covariance, double *mixed_0_within, double *mixed_apart_squared,
+    double *mixed_0_covariance)
 {
     double mixed_0_share[2];
+    double mixed_0_factor;
     double mixed_apart[4];
-    battery_mixing_and_prediction_2(path_share_0, path_share_inverse_0, mixed_0_share,
-        mode_filtered_state, mixed_0_mean);
+    battery_mixing_and_prediction(path_share_0, path_share_inverse_0, mixed_0_share,
+        mode_filtered_state, mixed_0_mean, mode_filtered_covariance, mixed_0_within,
+        &mixed_0_factor);
     mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[4];
     mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[5];
     mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[6];
     mixed_apart[3] = mode_filtered_state[3] - mode_filtered_state[7];
     battery_part_5(mixed_apart, mixed_apart_squared);
-    battery_mixing_and_prediction(mixed_0_share, mode_filtered_covariance, mixed_apart_squared,
-        mixed_0_covariance);
+    battery_mixing_and_prediction_4(mixed_0_share, mode_filtered_covariance, mixed_0_factor,
+        mixed_apart_squared, mixed_0_covariance);
 }
 
 /* mixing and prediction of every mode: linearisation. */
-BATTERY_INLINE void battery_mixing_and_prediction_5(const double *mixed_0_3_mean, double *moved,
+BATTERY_INLINE void battery_mixing_and_prediction_6(const double *mixed_0_3_mean, double *moved,
     const battery_params_t *params)
 {
     const double t0 = mixed_0_3_mean[2] * params->dt;
@@ -737,7 +874,7 @@ BATTERY_INLINE void battery_combined_prediction(const double *moved_covariance_0
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carried_71)
+BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carried_69)
 {
     const double t0 = (mode_state[0] < 0.0) ? 3.051 : 0.0;
     const double t1 = (0.0 <= mode_state[0]) ? 1.0 : 0.0;
@@ -843,7 +980,7 @@ BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carr
     const double t101 = t100 + 0.9178734558915858;
     const double t102 = (t97 > 0.0) ? ((t98 > 0.0) ? (4.182 + (t101 * t99)) : 0.0) : 0.0;
     const double t103 = t96 + t102 + ((1.3002 <= mode_state[0]) ? 4.4574 : 0.0);
-    carried_71[35] = t103 + (mode_state[3] * mode_state[2]) + mode_state[1];
+    carried_69[35] = t103 + (mode_state[3] * mode_state[2]) + mode_state[1];
     const double t104 = t101 + t100 + (0.00038974633775396613 * (t99 * t99));
     const double t105 = (t98 > 0.0) ? ((t97 > 0.0) ? t104 : 0.0) : 0.0;
     const double t106 = (t90 > 0.0) ? (t94 + t93 + (-36.24070191386395 * (t92 * t92))) : 0.0;
@@ -859,47 +996,47 @@ BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carr
     const double t116 = (t55 > 0.0) ? (t59 + t58 + (8.895841831346877 * (t57 * t57))) : 0.0;
     const double t117 = t115 + ((t56 > 0.0) ? t116 : 0.0);
     const double t118 = (t49 > 0.0) ? (t53 + t52 + (-10.07602629462888 * (t51 * t51))) : 0.0;
-    carried_71[36] = t117 + ((t50 > 0.0) ? t118 : 0.0);
-    carried_71[37] = (t43 > 0.0) ? (t47 + t46 + (23.309034510309303 * (t45 * t45))) : 0.0;
-    carried_71[0] = t1;
-    carried_71[1] = t2;
-    carried_71[2] = t3;
-    carried_71[3] = t4;
-    carried_71[4] = t7;
-    carried_71[5] = t8;
-    carried_71[6] = t9;
-    carried_71[7] = t10;
-    carried_71[8] = t11;
-    carried_71[9] = t13;
-    carried_71[10] = t14;
-    carried_71[11] = t15;
-    carried_71[12] = t16;
-    carried_71[13] = t17;
-    carried_71[14] = t19;
-    carried_71[15] = t20;
-    carried_71[16] = t21;
-    carried_71[17] = t22;
-    carried_71[18] = t23;
-    carried_71[19] = t25;
-    carried_71[20] = t26;
-    carried_71[21] = t27;
-    carried_71[22] = t28;
-    carried_71[23] = t29;
-    carried_71[24] = t31;
-    carried_71[25] = t32;
-    carried_71[26] = t33;
-    carried_71[27] = t34;
-    carried_71[28] = t35;
-    carried_71[29] = t37;
-    carried_71[30] = t38;
-    carried_71[31] = t39;
-    carried_71[32] = t40;
-    carried_71[33] = t41;
-    carried_71[34] = t44;
+    carried_69[36] = t117 + ((t50 > 0.0) ? t118 : 0.0);
+    carried_69[37] = (t43 > 0.0) ? (t47 + t46 + (23.309034510309303 * (t45 * t45))) : 0.0;
+    carried_69[0] = t1;
+    carried_69[1] = t2;
+    carried_69[2] = t3;
+    carried_69[3] = t4;
+    carried_69[4] = t7;
+    carried_69[5] = t8;
+    carried_69[6] = t9;
+    carried_69[7] = t10;
+    carried_69[8] = t11;
+    carried_69[9] = t13;
+    carried_69[10] = t14;
+    carried_69[11] = t15;
+    carried_69[12] = t16;
+    carried_69[13] = t17;
+    carried_69[14] = t19;
+    carried_69[15] = t20;
+    carried_69[16] = t21;
+    carried_69[17] = t22;
+    carried_69[18] = t23;
+    carried_69[19] = t25;
+    carried_69[20] = t26;
+    carried_69[21] = t27;
+    carried_69[22] = t28;
+    carried_69[23] = t29;
+    carried_69[24] = t31;
+    carried_69[25] = t32;
+    carried_69[26] = t33;
+    carried_69[27] = t34;
+    carried_69[28] = t35;
+    carried_69[29] = t37;
+    carried_69[30] = t38;
+    carried_69[31] = t39;
+    carried_69[32] = t40;
+    carried_69[33] = t41;
+    carried_69[34] = t44;
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *carried_68)
+BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *carried_66)
 {
     const double t0 = (mode_state[0] < 0.0) ? 3.051 : 0.0;
     const double t1 = (0.0 <= mode_state[0]) ? 1.0 : 0.0;
@@ -1021,7 +1158,7 @@ BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *ca
     const double t117 = (t116 * t114) + 0.9178734558915858;
     const double t118 = (t112 > 0.0) ? ((t113 > 0.0) ? (4.182 + (t117 * t114)) : 0.0) : 0.0;
     const double t119 = t111 + t118 + ((1.3002 <= mode_state[0]) ? 4.4574 : 0.0);
-    carried_68[34] = t119 + (mode_state[3] * mode_state[2]) + mode_state[1];
+    carried_66[34] = t119 + (mode_state[3] * mode_state[2]) + mode_state[1];
     const double t120 = (t1 > 0.0) ? ((t2 > 0.0) ? ((mode_state[0] * (t3 + t4)) + t5) : 0.0) : 0.0;
     const double t121 = (t8 > 0.0) ? ((t9 > 0.0) ? ((t10 * (t11 + t12)) + t13) : 0.0) : 0.0;
     const double t122 = t120 + t121;
@@ -1040,42 +1177,42 @@ BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *ca
     const double t135 = (t57 > 0.0) ? ((t58 > 0.0) ? ((t59 * (t60 + t61)) + t62) : 0.0) : 0.0;
     const double t136 = t134 + t135;
     const double t137 = (t64 > 0.0) ? ((t65 > 0.0) ? ((t66 * (t67 + t68)) + t69) : 0.0) : 0.0;
-    carried_68[35] = t136 + t137;
-    carried_68[36] = t75 + t76;
-    carried_68[0] = t72;
-    carried_68[1] = t73;
-    carried_68[2] = t74;
-    carried_68[3] = t77;
-    carried_68[4] = t80;
-    carried_68[5] = t81;
-    carried_68[6] = t82;
-    carried_68[7] = t83;
-    carried_68[8] = t84;
-    carried_68[9] = t85;
-    carried_68[10] = t88;
-    carried_68[11] = t89;
-    carried_68[12] = t90;
-    carried_68[13] = t91;
-    carried_68[14] = t92;
-    carried_68[15] = t93;
-    carried_68[16] = t96;
-    carried_68[17] = t97;
-    carried_68[18] = t98;
-    carried_68[19] = t99;
-    carried_68[20] = t100;
-    carried_68[21] = t101;
-    carried_68[22] = t104;
-    carried_68[23] = t105;
-    carried_68[24] = t106;
-    carried_68[25] = t107;
-    carried_68[26] = t108;
-    carried_68[27] = t109;
-    carried_68[28] = t112;
-    carried_68[29] = t113;
-    carried_68[30] = t114;
-    carried_68[31] = t115;
-    carried_68[32] = t116;
-    carried_68[33] = t117;
+    carried_66[35] = t136 + t137;
+    carried_66[36] = t75 + t76;
+    carried_66[0] = t72;
+    carried_66[1] = t73;
+    carried_66[2] = t74;
+    carried_66[3] = t77;
+    carried_66[4] = t80;
+    carried_66[5] = t81;
+    carried_66[6] = t82;
+    carried_66[7] = t83;
+    carried_66[8] = t84;
+    carried_66[9] = t85;
+    carried_66[10] = t88;
+    carried_66[11] = t89;
+    carried_66[12] = t90;
+    carried_66[13] = t91;
+    carried_66[14] = t92;
+    carried_66[15] = t93;
+    carried_66[16] = t96;
+    carried_66[17] = t97;
+    carried_66[18] = t98;
+    carried_66[19] = t99;
+    carried_66[20] = t100;
+    carried_66[21] = t101;
+    carried_66[22] = t104;
+    carried_66[23] = t105;
+    carried_66[24] = t106;
+    carried_66[25] = t107;
+    carried_66[26] = t108;
+    carried_66[27] = t109;
+    carried_66[28] = t112;
+    carried_66[29] = t113;
+    carried_66[30] = t114;
+    carried_66[31] = t115;
+    carried_66[32] = t116;
+    carried_66[33] = t117;
 }
 
 /* mode 0: signal, R: innovation, row by row. */
@@ -1263,15 +1400,17 @@ BATTERY_INLINE battery_status_t battery_mode_6(const double *y, const double *mo
     const double t50 = t49 + (predicted_mode_probability[1] * innovation_m1_1);
     const double t51 = t50 + (predicted_mode_probability[2] * innovation_m2_1);
     combined_innovation[1] = t51 + (predicted_mode_probability[3] * innovation_m3_1);
-    whitening_pivot_combined_0 = combined_variance[0];
+    const double t52 = 1.7763568394002505e-15 * combined_variance[0];
+    whitening_pivot_combined_0 = (combined_variance[0] > t52) ? combined_variance[0] : t52;
     if ((present & 0x1u) != 0u)
     {
         if (!(whitening_pivot_combined_0 > 0.0)) { return BATTERY_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
-    const double t52 = whitening_combined_0_1[0] * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t52;
+    const double t53 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
+    const double t54 = 1.7763568394002505e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t53 > t54) ? t53 : t54;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return BATTERY_NOT_POSITIVE_DEFINITE; }
@@ -1281,9 +1420,9 @@ BATTERY_INLINE battery_status_t battery_mode_6(const double *y, const double *mo
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const double *carried_72,
-    const double carried_68, double *seen, const double carried_69, const double *carried_70,
-    const double carried_71)
+BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const double *carried_70,
+    const double carried_66, double *seen, const double carried_67, const double *carried_68,
+    const double carried_69)
 {
     const double t0 = (0.2697 <= mode_state[0]) ? 1.0 : 0.0;
     const double t1 = (mode_state[0] < 0.374) ? 1.0 : 0.0;
@@ -1291,7 +1430,7 @@ BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const doub
     const double t3 = ((-10.07602629462888 * t2) + 0.5477332775187211) * t2;
     const double t4 = t3 + 0.6948611269123725;
     const double t5 = (t0 > 0.0) ? ((t1 > 0.0) ? (3.802 + (t4 * t2)) : 0.0) : 0.0;
-    const double t6 = carried_72[40] + t5;
+    const double t6 = carried_70[40] + t5;
     const double t7 = (0.374 <= mode_state[0]) ? 1.0 : 0.0;
     const double t8 = (mode_state[0] < 0.4783) ? 1.0 : 0.0;
     const double t9 = mode_state[0] - 0.374;
@@ -1352,64 +1491,64 @@ BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const doub
     const double t63 = t61 + ((t8 > 0.0) ? t62 : 0.0);
     const double t64 = (t0 > 0.0) ? (t4 + t3 + (-10.07602629462888 * (t2 * t2))) : 0.0;
     const double t65 = t63 + ((t1 > 0.0) ? t64 : 0.0);
-    const double t66 = carried_72[39] + carried_72[38];
-    const double t67 = t66 + (23.309034510309303 * (carried_72[37] * carried_72[37]));
-    const double t68 = (carried_72[36] > 0.0) ? ((carried_72[35] > 0.0) ? t67 : 0.0) : 0.0;
+    const double t66 = carried_70[39] + carried_70[38];
+    const double t67 = t66 + (23.309034510309303 * (carried_70[37] * carried_70[37]));
+    const double t68 = (carried_70[36] > 0.0) ? ((carried_70[35] > 0.0) ? t67 : 0.0) : 0.0;
     const double t69 = t65 + t68;
-    const double t70 = carried_72[34] + carried_72[33];
-    const double t71 = t70 + (23.201806179260856 * (carried_72[32] * carried_72[32]));
-    const double t72 = (carried_72[31] > 0.0) ? ((carried_72[30] > 0.0) ? t71 : 0.0) : 0.0;
+    const double t70 = carried_70[34] + carried_70[33];
+    const double t71 = t70 + (23.201806179260856 * (carried_70[32] * carried_70[32]));
+    const double t72 = (carried_70[31] > 0.0) ? ((carried_70[30] > 0.0) ? t71 : 0.0) : 0.0;
     const double t73 = t69 + t72;
-    const double t74 = carried_72[29] + carried_72[28];
-    const double t75 = t74 + (-1536.1652297027072 * (carried_72[27] * carried_72[27]));
-    const double t76 = (carried_72[26] > 0.0) ? ((carried_72[25] > 0.0) ? t75 : 0.0) : 0.0;
+    const double t74 = carried_70[29] + carried_70[28];
+    const double t75 = t74 + (-1536.1652297027072 * (carried_70[27] * carried_70[27]));
+    const double t76 = (carried_70[26] > 0.0) ? ((carried_70[25] > 0.0) ? t75 : 0.0) : 0.0;
     const double t77 = t73 + t76;
-    const double t78 = carried_72[24] + carried_72[23];
-    const double t79 = t78 + (-4614.861121502417 * (carried_72[22] * carried_72[22]));
-    const double t80 = (carried_72[21] > 0.0) ? ((carried_72[20] > 0.0) ? t79 : 0.0) : 0.0;
+    const double t78 = carried_70[24] + carried_70[23];
+    const double t79 = t78 + (-4614.861121502417 * (carried_70[22] * carried_70[22]));
+    const double t80 = (carried_70[21] > 0.0) ? ((carried_70[20] > 0.0) ? t79 : 0.0) : 0.0;
     const double t81 = t77 + t80;
-    const double t82 = carried_72[19] + carried_72[18];
-    const double t83 = t82 + (-948.4633516061084 * (carried_72[17] * carried_72[17]));
-    const double t84 = (carried_72[16] > 0.0) ? ((carried_72[15] > 0.0) ? t83 : 0.0) : 0.0;
+    const double t82 = carried_70[19] + carried_70[18];
+    const double t83 = t82 + (-948.4633516061084 * (carried_70[17] * carried_70[17]));
+    const double t84 = (carried_70[16] > 0.0) ? ((carried_70[15] > 0.0) ? t83 : 0.0) : 0.0;
     const double t85 = t81 + t84;
-    const double t86 = carried_72[14] + carried_72[13];
-    const double t87 = t86 + (1964.8485755964628 * (carried_72[12] * carried_72[12]));
-    const double t88 = (carried_72[11] > 0.0) ? ((carried_72[10] > 0.0) ? t87 : 0.0) : 0.0;
+    const double t86 = carried_70[14] + carried_70[13];
+    const double t87 = t86 + (1964.8485755964628 * (carried_70[12] * carried_70[12]));
+    const double t88 = (carried_70[11] > 0.0) ? ((carried_70[10] > 0.0) ? t87 : 0.0) : 0.0;
     const double t89 = t85 + t88;
-    const double t90 = carried_72[9] + carried_72[8];
-    const double t91 = t90 + (4823.089034916279 * (carried_72[7] * carried_72[7]));
-    const double t92 = t89 + ((carried_72[6] > 0.0) ? ((carried_72[5] > 0.0) ? t91 : 0.0) : 0.0);
-    const double t93 = (carried_72[2] > 0.0) ? ((carried_72[1] > 0.0) ? carried_72[4] : 0.0) : 0.0;
+    const double t90 = carried_70[9] + carried_70[8];
+    const double t91 = t90 + (4823.089034916279 * (carried_70[7] * carried_70[7]));
+    const double t92 = t89 + ((carried_70[6] > 0.0) ? ((carried_70[5] > 0.0) ? t91 : 0.0) : 0.0);
+    const double t93 = (carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? carried_70[4] : 0.0) : 0.0;
     const double t94 = t92 + t93;
-    const double t95 = (carried_72[2] > 0.0) ? ((carried_72[1] > 0.0) ? carried_72[3] : 0.0) : 0.0;
+    const double t95 = (carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? carried_70[3] : 0.0) : 0.0;
     const double t96 = t94 + t95;
     const double t97 = -3419.5004029005813 * (mode_state[0] * mode_state[0]);
-    seen[7] = t96 + ((carried_72[2] > 0.0) ? ((carried_72[1] > 0.0) ? t97 : 0.0) : 0.0);
-    seen[0] = carried_68;
-    seen[1] = carried_69;
-    seen[2] = carried_70[0];
-    seen[3] = carried_70[1];
-    seen[4] = carried_71;
-    seen[5] = carried_72[0];
+    seen[7] = t96 + ((carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? t97 : 0.0) : 0.0);
+    seen[0] = carried_66;
+    seen[1] = carried_67;
+    seen[2] = carried_68[0];
+    seen[3] = carried_68[1];
+    seen[4] = carried_69;
+    seen[5] = carried_70[0];
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_4(const double *carried_68, const double mode_state,
-    double *carried_69)
+BATTERY_INLINE void battery_linearisation_4(const double *carried_66, const double mode_state,
+    double *carried_67)
 {
-    const double t0 = (carried_68[2] * carried_68[36]) + carried_68[3];
-    const double t1 = (carried_68[0] > 0.0) ? ((carried_68[1] > 0.0) ? t0 : 0.0) : 0.0;
-    const double t2 = carried_68[35] + t1;
-    const double t3 = (carried_68[6] * (carried_68[7] + carried_68[8])) + carried_68[9];
-    const double t4 = t2 + ((carried_68[4] > 0.0) ? ((carried_68[5] > 0.0) ? t3 : 0.0) : 0.0);
-    const double t5 = (carried_68[12] * (carried_68[13] + carried_68[14])) + carried_68[15];
-    const double t6 = t4 + ((carried_68[10] > 0.0) ? ((carried_68[11] > 0.0) ? t5 : 0.0) : 0.0);
-    const double t7 = (carried_68[18] * (carried_68[19] + carried_68[20])) + carried_68[21];
-    const double t8 = t6 + ((carried_68[16] > 0.0) ? ((carried_68[17] > 0.0) ? t7 : 0.0) : 0.0);
-    const double t9 = (carried_68[24] * (carried_68[25] + carried_68[26])) + carried_68[27];
-    const double t10 = t8 + ((carried_68[22] > 0.0) ? ((carried_68[23] > 0.0) ? t9 : 0.0) : 0.0);
-    const double t11 = (carried_68[30] * (carried_68[31] + carried_68[32])) + carried_68[33];
-    carried_69[0] = t10 + ((carried_68[28] > 0.0) ? ((carried_68[29] > 0.0) ? t11 : 0.0) : 0.0);
+    const double t0 = (carried_66[2] * carried_66[36]) + carried_66[3];
+    const double t1 = (carried_66[0] > 0.0) ? ((carried_66[1] > 0.0) ? t0 : 0.0) : 0.0;
+    const double t2 = carried_66[35] + t1;
+    const double t3 = (carried_66[6] * (carried_66[7] + carried_66[8])) + carried_66[9];
+    const double t4 = t2 + ((carried_66[4] > 0.0) ? ((carried_66[5] > 0.0) ? t3 : 0.0) : 0.0);
+    const double t5 = (carried_66[12] * (carried_66[13] + carried_66[14])) + carried_66[15];
+    const double t6 = t4 + ((carried_66[10] > 0.0) ? ((carried_66[11] > 0.0) ? t5 : 0.0) : 0.0);
+    const double t7 = (carried_66[18] * (carried_66[19] + carried_66[20])) + carried_66[21];
+    const double t8 = t6 + ((carried_66[16] > 0.0) ? ((carried_66[17] > 0.0) ? t7 : 0.0) : 0.0);
+    const double t9 = (carried_66[24] * (carried_66[25] + carried_66[26])) + carried_66[27];
+    const double t10 = t8 + ((carried_66[22] > 0.0) ? ((carried_66[23] > 0.0) ? t9 : 0.0) : 0.0);
+    const double t11 = (carried_66[30] * (carried_66[31] + carried_66[32])) + carried_66[33];
+    carried_67[0] = t10 + ((carried_66[28] > 0.0) ? ((carried_66[29] > 0.0) ? t11 : 0.0) : 0.0);
     const double t12 = (mode_state < 0.0) ? 3.051 : 0.0;
     const double t13 = (0.0 <= mode_state) ? 1.0 : 0.0;
     const double t14 = (mode_state < 0.005) ? 1.0 : 0.0;
@@ -1483,97 +1622,97 @@ BATTERY_INLINE void battery_linearisation_4(const double *carried_68, const doub
     const double t82 = 8.895841831346877 * t81;
     const double t83 = t82 + -1.855672606018938;
     const double t84 = (t83 * t81) + 0.48028243474520577;
-    carried_69[60] = t78 + ((t79 > 0.0) ? ((t80 > 0.0) ? (3.869 + (t84 * t81)) : 0.0) : 0.0);
-    carried_69[1] = t13;
-    carried_69[2] = t14;
-    carried_69[3] = t15;
-    carried_69[4] = t16;
-    carried_69[5] = t17;
-    carried_69[6] = t20;
-    carried_69[7] = t21;
-    carried_69[8] = t22;
-    carried_69[9] = t23;
-    carried_69[10] = t24;
-    carried_69[11] = t25;
-    carried_69[12] = t27;
-    carried_69[13] = t28;
-    carried_69[14] = t29;
-    carried_69[15] = t30;
-    carried_69[16] = t31;
-    carried_69[17] = t32;
-    carried_69[18] = t34;
-    carried_69[19] = t35;
-    carried_69[20] = t36;
-    carried_69[21] = t37;
-    carried_69[22] = t38;
-    carried_69[23] = t39;
-    carried_69[24] = t41;
-    carried_69[25] = t42;
-    carried_69[26] = t43;
-    carried_69[27] = t44;
-    carried_69[28] = t45;
-    carried_69[29] = t46;
-    carried_69[30] = t48;
-    carried_69[31] = t49;
-    carried_69[32] = t50;
-    carried_69[33] = t51;
-    carried_69[34] = t52;
-    carried_69[35] = t53;
-    carried_69[36] = t55;
-    carried_69[37] = t56;
-    carried_69[38] = t57;
-    carried_69[39] = t58;
-    carried_69[40] = t59;
-    carried_69[41] = t60;
-    carried_69[42] = t63;
-    carried_69[43] = t64;
-    carried_69[44] = t65;
-    carried_69[45] = t66;
-    carried_69[46] = t67;
-    carried_69[47] = t68;
-    carried_69[48] = t71;
-    carried_69[49] = t72;
-    carried_69[50] = t73;
-    carried_69[51] = t74;
-    carried_69[52] = t75;
-    carried_69[53] = t76;
-    carried_69[54] = t79;
-    carried_69[55] = t80;
-    carried_69[56] = t81;
-    carried_69[57] = t82;
-    carried_69[58] = t83;
-    carried_69[59] = t84;
+    carried_67[60] = t78 + ((t79 > 0.0) ? ((t80 > 0.0) ? (3.869 + (t84 * t81)) : 0.0) : 0.0);
+    carried_67[1] = t13;
+    carried_67[2] = t14;
+    carried_67[3] = t15;
+    carried_67[4] = t16;
+    carried_67[5] = t17;
+    carried_67[6] = t20;
+    carried_67[7] = t21;
+    carried_67[8] = t22;
+    carried_67[9] = t23;
+    carried_67[10] = t24;
+    carried_67[11] = t25;
+    carried_67[12] = t27;
+    carried_67[13] = t28;
+    carried_67[14] = t29;
+    carried_67[15] = t30;
+    carried_67[16] = t31;
+    carried_67[17] = t32;
+    carried_67[18] = t34;
+    carried_67[19] = t35;
+    carried_67[20] = t36;
+    carried_67[21] = t37;
+    carried_67[22] = t38;
+    carried_67[23] = t39;
+    carried_67[24] = t41;
+    carried_67[25] = t42;
+    carried_67[26] = t43;
+    carried_67[27] = t44;
+    carried_67[28] = t45;
+    carried_67[29] = t46;
+    carried_67[30] = t48;
+    carried_67[31] = t49;
+    carried_67[32] = t50;
+    carried_67[33] = t51;
+    carried_67[34] = t52;
+    carried_67[35] = t53;
+    carried_67[36] = t55;
+    carried_67[37] = t56;
+    carried_67[38] = t57;
+    carried_67[39] = t58;
+    carried_67[40] = t59;
+    carried_67[41] = t60;
+    carried_67[42] = t63;
+    carried_67[43] = t64;
+    carried_67[44] = t65;
+    carried_67[45] = t66;
+    carried_67[46] = t67;
+    carried_67[47] = t68;
+    carried_67[48] = t71;
+    carried_67[49] = t72;
+    carried_67[50] = t73;
+    carried_67[51] = t74;
+    carried_67[52] = t75;
+    carried_67[53] = t76;
+    carried_67[54] = t79;
+    carried_67[55] = t80;
+    carried_67[56] = t81;
+    carried_67[57] = t82;
+    carried_67[58] = t83;
+    carried_67[59] = t84;
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_5(const double *carried_71, const double *mode_state,
-    double *carried_72)
+BATTERY_INLINE void battery_linearisation_5(const double *carried_69, const double *mode_state,
+    double *carried_70)
 {
-    const double t0 = carried_71[36] + ((carried_71[34] > 0.0) ? carried_71[37] : 0.0);
-    const double t1 = carried_71[33] + carried_71[32];
-    const double t2 = t1 + (23.201806179260856 * (carried_71[31] * carried_71[31]));
-    const double t3 = t0 + ((carried_71[30] > 0.0) ? ((carried_71[29] > 0.0) ? t2 : 0.0) : 0.0);
-    const double t4 = carried_71[28] + carried_71[27];
-    const double t5 = t4 + (-1536.1652297027072 * (carried_71[26] * carried_71[26]));
-    const double t6 = t3 + ((carried_71[25] > 0.0) ? ((carried_71[24] > 0.0) ? t5 : 0.0) : 0.0);
-    const double t7 = carried_71[23] + carried_71[22];
-    const double t8 = t7 + (-4614.861121502417 * (carried_71[21] * carried_71[21]));
-    const double t9 = t6 + ((carried_71[20] > 0.0) ? ((carried_71[19] > 0.0) ? t8 : 0.0) : 0.0);
-    const double t10 = carried_71[18] + carried_71[17];
-    const double t11 = t10 + (-948.4633516061084 * (carried_71[16] * carried_71[16]));
-    const double t12 = t9 + ((carried_71[15] > 0.0) ? ((carried_71[14] > 0.0) ? t11 : 0.0) : 0.0);
-    const double t13 = carried_71[13] + carried_71[12];
-    const double t14 = t13 + (1964.8485755964628 * (carried_71[11] * carried_71[11]));
-    const double t15 = t12 + ((carried_71[10] > 0.0) ? ((carried_71[9] > 0.0) ? t14 : 0.0) : 0.0);
-    const double t16 = carried_71[8] + carried_71[7];
-    const double t17 = t16 + (4823.089034916279 * (carried_71[6] * carried_71[6]));
-    const double t18 = t15 + ((carried_71[5] > 0.0) ? ((carried_71[4] > 0.0) ? t17 : 0.0) : 0.0);
-    const double t19 = (carried_71[1] > 0.0) ? ((carried_71[0] > 0.0) ? carried_71[3] : 0.0) : 0.0;
+    const double t0 = carried_69[36] + ((carried_69[34] > 0.0) ? carried_69[37] : 0.0);
+    const double t1 = carried_69[33] + carried_69[32];
+    const double t2 = t1 + (23.201806179260856 * (carried_69[31] * carried_69[31]));
+    const double t3 = t0 + ((carried_69[30] > 0.0) ? ((carried_69[29] > 0.0) ? t2 : 0.0) : 0.0);
+    const double t4 = carried_69[28] + carried_69[27];
+    const double t5 = t4 + (-1536.1652297027072 * (carried_69[26] * carried_69[26]));
+    const double t6 = t3 + ((carried_69[25] > 0.0) ? ((carried_69[24] > 0.0) ? t5 : 0.0) : 0.0);
+    const double t7 = carried_69[23] + carried_69[22];
+    const double t8 = t7 + (-4614.861121502417 * (carried_69[21] * carried_69[21]));
+    const double t9 = t6 + ((carried_69[20] > 0.0) ? ((carried_69[19] > 0.0) ? t8 : 0.0) : 0.0);
+    const double t10 = carried_69[18] + carried_69[17];
+    const double t11 = t10 + (-948.4633516061084 * (carried_69[16] * carried_69[16]));
+    const double t12 = t9 + ((carried_69[15] > 0.0) ? ((carried_69[14] > 0.0) ? t11 : 0.0) : 0.0);
+    const double t13 = carried_69[13] + carried_69[12];
+    const double t14 = t13 + (1964.8485755964628 * (carried_69[11] * carried_69[11]));
+    const double t15 = t12 + ((carried_69[10] > 0.0) ? ((carried_69[9] > 0.0) ? t14 : 0.0) : 0.0);
+    const double t16 = carried_69[8] + carried_69[7];
+    const double t17 = t16 + (4823.089034916279 * (carried_69[6] * carried_69[6]));
+    const double t18 = t15 + ((carried_69[5] > 0.0) ? ((carried_69[4] > 0.0) ? t17 : 0.0) : 0.0);
+    const double t19 = (carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? carried_69[3] : 0.0) : 0.0;
     const double t20 = t18 + t19;
-    const double t21 = (carried_71[1] > 0.0) ? ((carried_71[0] > 0.0) ? carried_71[2] : 0.0) : 0.0;
+    const double t21 = (carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? carried_69[2] : 0.0) : 0.0;
     const double t22 = t20 + t21;
     const double t23 = -3419.5004029005813 * (mode_state[0] * mode_state[0]);
-    carried_72[0] = t22 + ((carried_71[1] > 0.0) ? ((carried_71[0] > 0.0) ? t23 : 0.0) : 0.0);
+    carried_70[0] = t22 + ((carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? t23 : 0.0) : 0.0);
     const double t24 = (mode_state[4] < 0.0) ? 3.051 : 0.0;
     const double t25 = (0.0 <= mode_state[4]) ? 1.0 : 0.0;
     const double t26 = (mode_state[4] < 0.005) ? 1.0 : 0.0;
@@ -1625,46 +1764,46 @@ BATTERY_INLINE void battery_linearisation_5(const double *carried_71, const doub
     const double t72 = mode_state[4] - 0.1653;
     const double t73 = ((23.309034510309303 * t72) + -5.459300485547035) * t72;
     const double t74 = t73 + 1.0726023931537396;
-    carried_72[40] = t69 + ((t70 > 0.0) ? ((t71 > 0.0) ? (3.723 + (t74 * t72)) : 0.0) : 0.0);
-    carried_72[1] = t25;
-    carried_72[2] = t26;
-    carried_72[3] = t27;
-    carried_72[4] = t28;
-    carried_72[5] = t31;
-    carried_72[6] = t32;
-    carried_72[7] = t33;
-    carried_72[8] = t34;
-    carried_72[9] = t35;
-    carried_72[10] = t37;
-    carried_72[11] = t38;
-    carried_72[12] = t39;
-    carried_72[13] = t40;
-    carried_72[14] = t41;
-    carried_72[15] = t43;
-    carried_72[16] = t44;
-    carried_72[17] = t45;
-    carried_72[18] = t46;
-    carried_72[19] = t47;
-    carried_72[20] = t49;
-    carried_72[21] = t50;
-    carried_72[22] = t51;
-    carried_72[23] = t52;
-    carried_72[24] = t53;
-    carried_72[25] = t56;
-    carried_72[26] = t57;
-    carried_72[27] = t58;
-    carried_72[28] = t59;
-    carried_72[29] = t60;
-    carried_72[30] = t63;
-    carried_72[31] = t64;
-    carried_72[32] = t65;
-    carried_72[33] = t66;
-    carried_72[34] = t67;
-    carried_72[35] = t70;
-    carried_72[36] = t71;
-    carried_72[37] = t72;
-    carried_72[38] = t73;
-    carried_72[39] = t74;
+    carried_70[40] = t69 + ((t70 > 0.0) ? ((t71 > 0.0) ? (3.723 + (t74 * t72)) : 0.0) : 0.0);
+    carried_70[1] = t25;
+    carried_70[2] = t26;
+    carried_70[3] = t27;
+    carried_70[4] = t28;
+    carried_70[5] = t31;
+    carried_70[6] = t32;
+    carried_70[7] = t33;
+    carried_70[8] = t34;
+    carried_70[9] = t35;
+    carried_70[10] = t37;
+    carried_70[11] = t38;
+    carried_70[12] = t39;
+    carried_70[13] = t40;
+    carried_70[14] = t41;
+    carried_70[15] = t43;
+    carried_70[16] = t44;
+    carried_70[17] = t45;
+    carried_70[18] = t46;
+    carried_70[19] = t47;
+    carried_70[20] = t49;
+    carried_70[21] = t50;
+    carried_70[22] = t51;
+    carried_70[23] = t52;
+    carried_70[24] = t53;
+    carried_70[25] = t56;
+    carried_70[26] = t57;
+    carried_70[27] = t58;
+    carried_70[28] = t59;
+    carried_70[29] = t60;
+    carried_70[30] = t63;
+    carried_70[31] = t64;
+    carried_70[32] = t65;
+    carried_70[33] = t66;
+    carried_70[34] = t67;
+    carried_70[35] = t70;
+    carried_70[36] = t71;
+    carried_70[37] = t72;
+    carried_70[38] = t73;
+    carried_70[39] = t74;
 }
 
 /* linearisation. */
@@ -1676,17 +1815,17 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     double *combined_variance, double *combined_innovation, double *whitening_inverse_combined_0,
     double *whitening_combined_0_1, double *whitening_inverse_combined_1, uint32_t present)
 {
-    double carried_68[37];
-    double carried_69[61];
-    double carried_70[2];
-    double carried_71[38];
-    double carried_72[41];
+    double carried_66[37];
+    double carried_67[61];
+    double carried_68[2];
+    double carried_69[38];
+    double carried_70[41];
     double seen[8];
     battery_status_t status;
 
     /* linearisation */
-    battery_linearisation_2(mode_state, carried_68);
-    battery_linearisation_4(carried_68, mode_state[4], carried_69);
+    battery_linearisation_2(mode_state, carried_66);
+    battery_linearisation_4(carried_66, mode_state[4], carried_67);
     const double t0 = (0.4783 <= mode_state[4]) ? 1.0 : 0.0;
     const double t1 = (mode_state[4] < 0.5826) ? 1.0 : 0.0;
     const double t2 = mode_state[4] - 0.4783;
@@ -1694,7 +1833,7 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t4 = t3 + 0.2451320603012952;
     const double t5 = (t4 * t2) + 0.3835091083413213;
     const double t6 = (t0 > 0.0) ? ((t1 > 0.0) ? (3.909 + (t5 * t2)) : 0.0) : 0.0;
-    const double t7 = carried_69[60] + t6;
+    const double t7 = carried_67[60] + t6;
     const double t8 = (0.5826 <= mode_state[4]) ? 1.0 : 0.0;
     const double t9 = (mode_state[4] < 0.6869) ? 1.0 : 0.0;
     const double t10 = mode_state[4] - 0.5826;
@@ -1731,32 +1870,32 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t41 = (t40 * t38) + 0.9178734558915858;
     const double t42 = t35 + ((t36 > 0.0) ? ((t37 > 0.0) ? (4.182 + (t41 * t38)) : 0.0) : 0.0);
     const double t43 = t42 + ((1.3002 <= mode_state[4]) ? 4.4574 : 0.0);
-    carried_70[0] = t43 + (mode_state[7] * mode_state[6]) + mode_state[5];
-    const double t44 = (mode_state[4] * (carried_69[3] + carried_69[4])) + carried_69[5];
-    const double t45 = (carried_69[1] > 0.0) ? ((carried_69[2] > 0.0) ? t44 : 0.0) : 0.0;
-    const double t46 = (carried_69[8] * (carried_69[9] + carried_69[10])) + carried_69[11];
-    const double t47 = t45 + ((carried_69[6] > 0.0) ? ((carried_69[7] > 0.0) ? t46 : 0.0) : 0.0);
-    const double t48 = (carried_69[14] * (carried_69[15] + carried_69[16])) + carried_69[17];
-    const double t49 = t47 + ((carried_69[12] > 0.0) ? ((carried_69[13] > 0.0) ? t48 : 0.0) : 0.0);
-    const double t50 = (carried_69[20] * (carried_69[21] + carried_69[22])) + carried_69[23];
-    const double t51 = t49 + ((carried_69[18] > 0.0) ? ((carried_69[19] > 0.0) ? t50 : 0.0) : 0.0);
-    const double t52 = (carried_69[26] * (carried_69[27] + carried_69[28])) + carried_69[29];
-    const double t53 = (carried_69[24] > 0.0) ? ((carried_69[25] > 0.0) ? t52 : 0.0) : 0.0;
+    carried_68[0] = t43 + (mode_state[7] * mode_state[6]) + mode_state[5];
+    const double t44 = (mode_state[4] * (carried_67[3] + carried_67[4])) + carried_67[5];
+    const double t45 = (carried_67[1] > 0.0) ? ((carried_67[2] > 0.0) ? t44 : 0.0) : 0.0;
+    const double t46 = (carried_67[8] * (carried_67[9] + carried_67[10])) + carried_67[11];
+    const double t47 = t45 + ((carried_67[6] > 0.0) ? ((carried_67[7] > 0.0) ? t46 : 0.0) : 0.0);
+    const double t48 = (carried_67[14] * (carried_67[15] + carried_67[16])) + carried_67[17];
+    const double t49 = t47 + ((carried_67[12] > 0.0) ? ((carried_67[13] > 0.0) ? t48 : 0.0) : 0.0);
+    const double t50 = (carried_67[20] * (carried_67[21] + carried_67[22])) + carried_67[23];
+    const double t51 = t49 + ((carried_67[18] > 0.0) ? ((carried_67[19] > 0.0) ? t50 : 0.0) : 0.0);
+    const double t52 = (carried_67[26] * (carried_67[27] + carried_67[28])) + carried_67[29];
+    const double t53 = (carried_67[24] > 0.0) ? ((carried_67[25] > 0.0) ? t52 : 0.0) : 0.0;
     const double t54 = t51 + t53;
-    const double t55 = (carried_69[32] * (carried_69[33] + carried_69[34])) + carried_69[35];
-    const double t56 = (carried_69[30] > 0.0) ? ((carried_69[31] > 0.0) ? t55 : 0.0) : 0.0;
+    const double t55 = (carried_67[32] * (carried_67[33] + carried_67[34])) + carried_67[35];
+    const double t56 = (carried_67[30] > 0.0) ? ((carried_67[31] > 0.0) ? t55 : 0.0) : 0.0;
     const double t57 = t54 + t56;
-    const double t58 = (carried_69[38] * (carried_69[39] + carried_69[40])) + carried_69[41];
-    const double t59 = (carried_69[36] > 0.0) ? ((carried_69[37] > 0.0) ? t58 : 0.0) : 0.0;
+    const double t58 = (carried_67[38] * (carried_67[39] + carried_67[40])) + carried_67[41];
+    const double t59 = (carried_67[36] > 0.0) ? ((carried_67[37] > 0.0) ? t58 : 0.0) : 0.0;
     const double t60 = t57 + t59;
-    const double t61 = (carried_69[44] * (carried_69[45] + carried_69[46])) + carried_69[47];
-    const double t62 = (carried_69[42] > 0.0) ? ((carried_69[43] > 0.0) ? t61 : 0.0) : 0.0;
+    const double t61 = (carried_67[44] * (carried_67[45] + carried_67[46])) + carried_67[47];
+    const double t62 = (carried_67[42] > 0.0) ? ((carried_67[43] > 0.0) ? t61 : 0.0) : 0.0;
     const double t63 = t60 + t62;
-    const double t64 = (carried_69[50] * (carried_69[51] + carried_69[52])) + carried_69[53];
-    const double t65 = (carried_69[48] > 0.0) ? ((carried_69[49] > 0.0) ? t64 : 0.0) : 0.0;
+    const double t64 = (carried_67[50] * (carried_67[51] + carried_67[52])) + carried_67[53];
+    const double t65 = (carried_67[48] > 0.0) ? ((carried_67[49] > 0.0) ? t64 : 0.0) : 0.0;
     const double t66 = t63 + t65;
-    const double t67 = (carried_69[56] * (carried_69[57] + carried_69[58])) + carried_69[59];
-    const double t68 = (carried_69[54] > 0.0) ? ((carried_69[55] > 0.0) ? t67 : 0.0) : 0.0;
+    const double t67 = (carried_67[56] * (carried_67[57] + carried_67[58])) + carried_67[59];
+    const double t68 = (carried_67[54] > 0.0) ? ((carried_67[55] > 0.0) ? t67 : 0.0) : 0.0;
     const double t69 = t66 + t68;
     const double t70 = t69 + ((t0 > 0.0) ? ((t1 > 0.0) ? ((t2 * (t3 + t4)) + t5) : 0.0) : 0.0);
     const double t71 = (t8 > 0.0) ? ((t9 > 0.0) ? ((t10 * (t11 + t12)) + t13) : 0.0) : 0.0;
@@ -1767,11 +1906,11 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t76 = t74 + t75;
     const double t77 = (t29 > 0.0) ? ((t30 > 0.0) ? ((t31 * (t32 + t33)) + t34) : 0.0) : 0.0;
     const double t78 = t76 + t77;
-    carried_70[1] = t78 + ((t36 > 0.0) ? ((t37 > 0.0) ? ((t38 * (t39 + t40)) + t41) : 0.0) : 0.0);
-    battery_linearisation(&mode_state[8], carried_71);
-    battery_linearisation_5(carried_71, &mode_state[8], carried_72);
-    battery_linearisation_3(&mode_state[12], carried_72, carried_68[34], seen, carried_69[0],
-        carried_70, carried_71[35]);
+    carried_68[1] = t78 + ((t36 > 0.0) ? ((t37 > 0.0) ? ((t38 * (t39 + t40)) + t41) : 0.0) : 0.0);
+    battery_linearisation(&mode_state[8], carried_69);
+    battery_linearisation_5(carried_69, &mode_state[8], carried_70);
+    battery_linearisation_3(&mode_state[12], carried_70, carried_66[34], seen, carried_67[0],
+        carried_68, carried_69[35]);
     if (!battery_finite((battery_defect(seen[0]) + battery_defect(seen[2])) +
         (battery_defect(seen[4]) + battery_defect(seen[6]))))
     {
@@ -1785,6 +1924,215 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
         combined_innovation, whitening_inverse_combined_0, whitening_combined_0_1,
         whitening_inverse_combined_1, present);
     if (status != BATTERY_OK) { return status; }
+    return BATTERY_OK;
+}
+
+/* law of the next mode, and mixing weights. */
+BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_probability,
+    const double *log_weight, const double *mode_filtered_state,
+    const double *mode_filtered_covariance, const double *Q, double *predicted_mode_probability,
+    double *predicted_log_weight, double *mode_state, double *mode_covariance,
+    double *predicted_state, double *predicted_covariance, const battery_params_t *params)
+{
+    double kernel[8];
+    double mode_prediction_0;
+    double log_path_largest_0;
+    double path_share_0[4];
+    double path_share_total_0;
+    double path_share_inverse_0;
+    double mode_prediction_2;
+    double log_path_largest_2;
+    double path_share_2[4];
+    double path_share_total_2;
+    double path_share_inverse_2;
+    double mixed_0_0_3_share[2];
+    double mixed_0_0_1_mean[4];
+    double mixed_0_0_1_within[4];
+    double mixed_apart_0_1_squared[10];
+    double mixed_0_0_1_covariance[10];
+    double mixed_0_2_3_mean[4];
+    double mixed_0_2_3_within[4];
+    double mixed_apart_2_3_squared[10];
+    double mixed_0_2_3_covariance[10];
+    double mixed_0_0_3_mean[4];
+    double mixed_0_0_3_covariance[10];
+    double moved_0[5];
+    double moved_state_0[4];
+    double moved_covariance_0[10];
+    double mixed_1_0_3_share[2];
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[4];
+    double mixed_1_0_1_within[4];
+    double mixed_1_0_1_factor;
+    double mixed_1_0_1_covariance[10];
+    double mixed_1_2_3_share[2];
+    double mixed_1_2_3_mean[4];
+    double mixed_1_2_3_within[4];
+    double mixed_1_2_3_factor;
+    double mixed_1_2_3_covariance[10];
+    double mixed_1_0_3_mean[4];
+    double mixed_1_0_3_covariance[10];
+    double moved_1[5];
+    double moved_state_1[4];
+    double moved_covariance_1[10];
+    double predicted_0_1_share[2];
+    double predicted_0_1_mean[4];
+    double predicted_apart_0_1[4];
+    double predicted_apart_0_1_squared[10];
+    double predicted_0_1_covariance[10];
+
+    /* law of the next mode, and mixing weights */
+    const double t0 = battery_exp(-(params->dt / 300.0));
+    const double t1 = (t0 > 0.0) ? t0 : 0.0;
+    const double t2 = battery_exp(-(params->dt / 60.0));
+    const double t3 = 1.0 - t2;
+    const double t4 = (t3 > 0.0) ? t3 : 0.0;
+    const double t5 = 1.0 - t0;
+    const double t6 = (t5 > 0.0) ? t5 : 0.0;
+    const double t7 = (t2 > 0.0) ? t2 : 0.0;
+    kernel[0] = t1;
+    kernel[1] = t1;
+    kernel[2] = t4;
+    kernel[3] = t4;
+    kernel[4] = t6;
+    kernel[5] = t6;
+    kernel[6] = t7;
+    kernel[7] = t7;
+    battery_law_of_the_next(mode_probability, kernel, &mode_prediction_0, log_weight,
+        &log_path_largest_0, path_share_0, &path_share_total_0, &path_share_inverse_0);
+    battery_law_of_the_next(mode_probability, &kernel[4], &mode_prediction_2, log_weight,
+        &log_path_largest_2, path_share_2, &path_share_total_2, &path_share_inverse_2);
+
+    /* mixing and prediction of every mode */
+    const double t8 = path_share_0[0] * path_share_inverse_0;
+    mixed_0_0_3_share[0] = t8 + (path_share_0[1] * path_share_inverse_0);
+    const double t9 = path_share_0[2] * path_share_inverse_0;
+    mixed_0_0_3_share[1] = t9 + (path_share_0[3] * path_share_inverse_0);
+    battery_mixing_and_prediction_5(path_share_0, path_share_inverse_0, mode_filtered_state,
+        mixed_0_0_1_mean, mode_filtered_covariance, mixed_0_0_1_within, mixed_apart_0_1_squared,
+        mixed_0_0_1_covariance);
+    battery_mixing_and_prediction_5(&path_share_0[2], path_share_inverse_0, &mode_filtered_state[8],
+        mixed_0_2_3_mean, &mode_filtered_covariance[20], mixed_0_2_3_within,
+        mixed_apart_2_3_squared, mixed_0_2_3_covariance);
+    battery_part_2(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_mean,
+        mixed_0_0_1_within, mixed_0_2_3_within, mixed_0_0_1_covariance, mixed_0_2_3_covariance,
+        mixed_0_0_3_covariance);
+
+    /* mixing and prediction of every mode: linearisation */
+    battery_mixing_and_prediction_6(mixed_0_0_3_mean, moved_0, params);
+
+    /* mixing and prediction of every mode */
+    battery_mixing_and_prediction_3(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
+        mixed_0_0_3_covariance, Q, moved_covariance_0);
+    const double t10 = path_share_2[0] * path_share_inverse_2;
+    mixed_1_0_3_share[0] = t10 + (path_share_2[1] * path_share_inverse_2);
+    const double t11 = path_share_2[2] * path_share_inverse_2;
+    mixed_1_0_3_share[1] = t11 + (path_share_2[3] * path_share_inverse_2);
+    battery_mixing_and_prediction(path_share_2, path_share_inverse_2, mixed_1_0_1_share,
+        mode_filtered_state, mixed_1_0_1_mean, mode_filtered_covariance, mixed_1_0_1_within,
+        &mixed_1_0_1_factor);
+    battery_mixing_and_prediction_4(mixed_1_0_1_share, mode_filtered_covariance, mixed_1_0_1_factor,
+        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    battery_mixing_and_prediction(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share,
+        &mode_filtered_state[8], mixed_1_2_3_mean, &mode_filtered_covariance[20],
+        mixed_1_2_3_within, &mixed_1_2_3_factor);
+    battery_mixing_and_prediction_4(mixed_1_2_3_share, &mode_filtered_covariance[20],
+        mixed_1_2_3_factor, mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    battery_part_2(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_mean,
+        mixed_1_0_1_within, mixed_1_2_3_within, mixed_1_0_1_covariance, mixed_1_2_3_covariance,
+        mixed_1_0_3_covariance);
+
+    /* mixing and prediction of every mode: linearisation */
+    battery_mixing_and_prediction_6(mixed_1_0_3_mean, moved_1, params);
+
+    /* mixing and prediction of every mode */
+    battery_mixing_and_prediction_3(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
+        mixed_1_0_3_covariance, Q, moved_covariance_1);
+
+    /* combined prediction */
+    predicted_0_1_share[0] = mode_prediction_0;
+    predicted_0_1_share[1] = mode_prediction_2;
+    battery_part_7(predicted_0_1_share, moved_state_0, moved_state_1, predicted_0_1_mean);
+    predicted_apart_0_1[0] = moved_state_0[0] - moved_state_1[0];
+    predicted_apart_0_1[1] = moved_state_0[1] - moved_state_1[1];
+    predicted_apart_0_1[2] = moved_state_0[2] - moved_state_1[2];
+    predicted_apart_0_1[3] = moved_state_0[3] - moved_state_1[3];
+    battery_part_5(predicted_apart_0_1, predicted_apart_0_1_squared);
+    const double t12 = predicted_0_1_share[0] * moved_covariance_0[0];
+    const double t13 = t12 + (predicted_0_1_share[1] * moved_covariance_1[0]);
+    const double t14 = predicted_0_1_share[0] * predicted_0_1_share[1];
+    predicted_0_1_covariance[0] = t13 + (t14 * predicted_apart_0_1_squared[0]);
+    const double t15 = predicted_0_1_share[0] * moved_covariance_0[1];
+    const double t16 = t15 + (predicted_0_1_share[1] * moved_covariance_1[1]);
+    predicted_0_1_covariance[1] = t16 + (t14 * predicted_apart_0_1_squared[1]);
+    const double t17 = predicted_0_1_share[0] * moved_covariance_0[2];
+    const double t18 = t17 + (predicted_0_1_share[1] * moved_covariance_1[2]);
+    predicted_0_1_covariance[2] = t18 + (t14 * predicted_apart_0_1_squared[2]);
+    const double t19 = predicted_0_1_share[0] * moved_covariance_0[3];
+    const double t20 = t19 + (predicted_0_1_share[1] * moved_covariance_1[3]);
+    predicted_0_1_covariance[3] = t20 + (t14 * predicted_apart_0_1_squared[3]);
+    const double t21 = predicted_0_1_share[0] * moved_covariance_0[4];
+    const double t22 = t21 + (predicted_0_1_share[1] * moved_covariance_1[4]);
+    predicted_0_1_covariance[4] = t22 + (t14 * predicted_apart_0_1_squared[4]);
+    const double t23 = predicted_0_1_share[0] * moved_covariance_0[5];
+    const double t24 = t23 + (predicted_0_1_share[1] * moved_covariance_1[5]);
+    predicted_0_1_covariance[5] = t24 + (t14 * predicted_apart_0_1_squared[5]);
+    const double t25 = predicted_0_1_share[0] * moved_covariance_0[6];
+    const double t26 = t25 + (predicted_0_1_share[1] * moved_covariance_1[6]);
+    predicted_0_1_covariance[6] = t26 + (t14 * predicted_apart_0_1_squared[6]);
+    const double t27 = predicted_0_1_share[0] * moved_covariance_0[7];
+    const double t28 = t27 + (predicted_0_1_share[1] * moved_covariance_1[7]);
+    predicted_0_1_covariance[7] = t28 + (t14 * predicted_apart_0_1_squared[7]);
+    const double t29 = predicted_0_1_share[0] * moved_covariance_0[8];
+    const double t30 = t29 + (predicted_0_1_share[1] * moved_covariance_1[8]);
+    predicted_0_1_covariance[8] = t30 + (t14 * predicted_apart_0_1_squared[8]);
+    const double t31 = predicted_0_1_share[0] * moved_covariance_0[9];
+    const double t32 = t31 + (predicted_0_1_share[1] * moved_covariance_1[9]);
+    predicted_0_1_covariance[9] = t32 + (t14 * predicted_apart_0_1_squared[9]);
+    const double t33 = log_path_largest_0 + battery_log(path_share_total_0);
+    const double t34 = (t33 > BATTERY_LOG_ZERO) ? t33 : BATTERY_LOG_ZERO;
+    const double t35 = log_path_largest_2 + battery_log(path_share_total_2);
+    const double t36 = (t35 > BATTERY_LOG_ZERO) ? t35 : BATTERY_LOG_ZERO;
+    if (!battery_finite((((battery_defect(t34) + battery_defect(t36)) +
+        battery_defect(predicted_0_1_mean[0])) + (battery_defect(predicted_0_1_mean[1]) +
+        battery_defect(predicted_0_1_mean[2]))) + (((battery_defect(predicted_0_1_mean[3]) +
+        battery_defect(predicted_0_1_covariance[0])) +
+        battery_defect(predicted_0_1_covariance[2])) +
+        (battery_defect(predicted_0_1_covariance[5]) +
+        battery_defect(predicted_0_1_covariance[9])))))
+    {
+        return BATTERY_RESULT_NOT_FINITE;
+    }
+    predicted_mode_probability[0] = mode_prediction_0;
+    predicted_mode_probability[1] = 0.0;
+    predicted_mode_probability[2] = mode_prediction_2;
+    predicted_mode_probability[3] = 0.0;
+    predicted_log_weight[0] = t34;
+    predicted_log_weight[1] = BATTERY_LOG_ZERO;
+    predicted_log_weight[2] = t36;
+    predicted_log_weight[3] = BATTERY_LOG_ZERO;
+    battery_copy(moved_state_1, &mode_state[8], 4);
+    battery_copy(moved_covariance_1, &mode_covariance[20], 10);
+    battery_copy(predicted_0_1_mean, predicted_state, 4);
+    battery_copy(predicted_0_1_covariance, predicted_covariance, 10);
+    mode_state[0] = moved_state_0[0];
+    mode_state[4] = moved_state_0[0];
+    mode_state[12] = moved_state_0[0];
+    mode_state[1] = moved_state_0[1];
+    mode_state[5] = moved_state_0[1];
+    mode_state[13] = moved_state_0[1];
+    mode_state[2] = moved_state_0[2];
+    mode_state[6] = moved_state_0[2];
+    mode_state[14] = moved_state_0[2];
+    mode_state[3] = moved_state_0[3];
+    mode_state[7] = moved_state_0[3];
+    mode_state[15] = moved_state_0[3];
+    battery_combined_prediction(moved_covariance_0, mode_covariance);
+    battery_combined_prediction(&moved_covariance_0[3], &mode_covariance[3]);
+    battery_combined_prediction(&moved_covariance_0[6], &mode_covariance[6]);
+    mode_covariance[9] = moved_covariance_0[9];
+    mode_covariance[19] = moved_covariance_0[9];
+    mode_covariance[39] = moved_covariance_0[9];
     return BATTERY_OK;
 }
 
@@ -1809,13 +2157,11 @@ static battery_status_t battery_correct(const battery_t *self, const battery_par
     double whitening_combined_0_1 = 0.0;
     double whitening_inverse_combined_1 = 0.0;
     double combined_0_3_share[2];
-    double combined_0_1_inverse;
-    double combined_0_1_share[2];
     double combined_0_1_mean[4];
+    double combined_0_1_within[4];
     double combined_0_1_covariance[10];
-    double combined_2_3_inverse;
-    double combined_2_3_share[2];
     double combined_2_3_mean[4];
+    double combined_2_3_within[4];
     double combined_2_3_covariance[10];
     double combined_0_3_mean[4];
     double combined_0_3_covariance[10];
@@ -1845,18 +2191,13 @@ static battery_status_t battery_correct(const battery_t *self, const battery_par
     /* combination */
     combined_0_3_share[0] = weight[0] + weight[1];
     combined_0_3_share[1] = weight[2] + weight[3];
-    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + BATTERY_TINY);
-    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
-    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
-    battery_part_2(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
-        covariance_m1, combined_0_1_covariance);
-    combined_2_3_inverse = 1.0 / (weight[2] + weight[3] + BATTERY_TINY);
-    combined_2_3_share[0] = weight[2] * combined_2_3_inverse;
-    combined_2_3_share[1] = weight[3] * combined_2_3_inverse;
-    battery_part_2(combined_2_3_share, mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
-        covariance_m3, combined_2_3_covariance);
-    battery_part_3(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
+    battery_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0, covariance_m1,
+        combined_0_1_within, combined_0_1_covariance);
+    battery_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
+        covariance_m3, combined_2_3_within, combined_2_3_covariance);
+    battery_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_0_1_within, combined_2_3_within, combined_0_1_covariance, combined_2_3_covariance,
+        combined_0_3_covariance);
     if (!battery_finite((battery_defect(combined_0_3_mean[0]) +
         battery_defect(combined_0_3_mean[1])) + (battery_defect(combined_0_3_mean[2]) +
         battery_defect(combined_0_3_mean[3]))))
@@ -1902,44 +2243,6 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     battery_t *next)
 {
     double Q[4];
-    double kernel[8];
-    double mode_prediction_0;
-    double log_path_largest_0;
-    double path_share_0[4];
-    double path_share_total_0;
-    double path_share_inverse_0;
-    double mode_prediction_2;
-    double log_path_largest_2;
-    double path_share_2[4];
-    double path_share_total_2;
-    double path_share_inverse_2;
-    double mixed_0_0_3_share[2];
-    double mixed_0_0_1_mean[4];
-    double mixed_apart_0_1_squared[10];
-    double mixed_0_0_1_covariance[10];
-    double mixed_0_2_3_mean[4];
-    double mixed_apart_2_3_squared[10];
-    double mixed_0_2_3_covariance[10];
-    double mixed_0_0_3_mean[4];
-    double mixed_0_0_3_covariance[10];
-    double moved_0[5];
-    double moved_state_0[4];
-    double moved_covariance_0[10];
-    double mixed_1_0_3_share[2];
-    double mixed_1_0_1_share[2];
-    double mixed_1_0_1_mean[4];
-    double mixed_1_0_1_covariance[10];
-    double mixed_1_2_3_share[2];
-    double mixed_1_2_3_mean[4];
-    double mixed_1_2_3_covariance[10];
-    double mixed_1_0_3_mean[4];
-    double mixed_1_0_3_covariance[10];
-    double moved_1[5];
-    double moved_state_1[4];
-    double moved_covariance_1[10];
-    double predicted_0_1_share[2];
-    double predicted_0_1_mean[4];
-    double predicted_0_1_covariance[10];
     battery_status_t status;
     status = battery_part_4(params);
     if (status != BATTERY_OK) { return status; }
@@ -1953,119 +2256,11 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     }
 
     /* law of the next mode, and mixing weights */
-    const double t0 = battery_exp(-(params->dt / 300.0));
-    const double t1 = (t0 > 0.0) ? t0 : 0.0;
-    const double t2 = battery_exp(-(params->dt / 60.0));
-    const double t3 = 1.0 - t2;
-    const double t4 = (t3 > 0.0) ? t3 : 0.0;
-    const double t5 = 1.0 - t0;
-    const double t6 = (t5 > 0.0) ? t5 : 0.0;
-    const double t7 = (t2 > 0.0) ? t2 : 0.0;
-    kernel[0] = t1;
-    kernel[1] = t1;
-    kernel[2] = t4;
-    kernel[3] = t4;
-    kernel[4] = t6;
-    kernel[5] = t6;
-    kernel[6] = t7;
-    kernel[7] = t7;
-    battery_law_of_the_next(self->mode_probability, kernel, &mode_prediction_0, self->log_weight,
-        &log_path_largest_0, path_share_0, &path_share_total_0, &path_share_inverse_0);
-    battery_law_of_the_next(self->mode_probability, &kernel[4], &mode_prediction_2,
-        self->log_weight, &log_path_largest_2, path_share_2, &path_share_total_2,
-        &path_share_inverse_2);
-
-    /* mixing and prediction of every mode */
-    const double t8 = path_share_0[0] * path_share_inverse_0;
-    mixed_0_0_3_share[0] = t8 + (path_share_0[1] * path_share_inverse_0);
-    const double t9 = path_share_0[2] * path_share_inverse_0;
-    mixed_0_0_3_share[1] = t9 + (path_share_0[3] * path_share_inverse_0);
-    battery_mixing_and_prediction_4(path_share_0, path_share_inverse_0, self->mode_filtered_state,
-        mixed_0_0_1_mean, mixed_apart_0_1_squared, self->mode_filtered_covariance,
-        mixed_0_0_1_covariance);
-    battery_mixing_and_prediction_4(&path_share_0[2], path_share_inverse_0,
-        &self->mode_filtered_state[8], mixed_0_2_3_mean, mixed_apart_2_3_squared,
-        &self->mode_filtered_covariance[20], mixed_0_2_3_covariance);
-    battery_part_3(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_mean,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance);
-
-    /* mixing and prediction of every mode: linearisation */
-    battery_mixing_and_prediction_5(mixed_0_0_3_mean, moved_0, params);
-
-    /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_3(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
-        mixed_0_0_3_covariance, Q, moved_covariance_0);
-    const double t10 = path_share_2[0] * path_share_inverse_2;
-    mixed_1_0_3_share[0] = t10 + (path_share_2[1] * path_share_inverse_2);
-    const double t11 = path_share_2[2] * path_share_inverse_2;
-    mixed_1_0_3_share[1] = t11 + (path_share_2[3] * path_share_inverse_2);
-    battery_mixing_and_prediction_2(path_share_2, path_share_inverse_2, mixed_1_0_1_share,
-        self->mode_filtered_state, mixed_1_0_1_mean);
-    battery_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_covariance,
-        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    battery_mixing_and_prediction_2(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share,
-        &self->mode_filtered_state[8], mixed_1_2_3_mean);
-    battery_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_covariance[20],
-        mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    battery_part_3(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_mean,
-        mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance);
-
-    /* mixing and prediction of every mode: linearisation */
-    battery_mixing_and_prediction_5(mixed_1_0_3_mean, moved_1, params);
-
-    /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_3(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
-        mixed_1_0_3_covariance, Q, moved_covariance_1);
-
-    /* combined prediction */
-    predicted_0_1_share[0] = mode_prediction_0;
-    predicted_0_1_share[1] = mode_prediction_2;
-    battery_part_2(predicted_0_1_share, moved_state_0, moved_state_1, predicted_0_1_mean,
-        moved_covariance_0, moved_covariance_1, predicted_0_1_covariance);
-    const double t12 = log_path_largest_0 + battery_log(path_share_total_0);
-    const double t13 = (t12 > BATTERY_LOG_ZERO) ? t12 : BATTERY_LOG_ZERO;
-    const double t14 = log_path_largest_2 + battery_log(path_share_total_2);
-    const double t15 = (t14 > BATTERY_LOG_ZERO) ? t14 : BATTERY_LOG_ZERO;
-    if (!battery_finite((((battery_defect(t13) + battery_defect(t15)) +
-        battery_defect(predicted_0_1_mean[0])) + (battery_defect(predicted_0_1_mean[1]) +
-        battery_defect(predicted_0_1_mean[2]))) + (((battery_defect(predicted_0_1_mean[3]) +
-        battery_defect(predicted_0_1_covariance[0])) +
-        battery_defect(predicted_0_1_covariance[2])) +
-        (battery_defect(predicted_0_1_covariance[5]) +
-        battery_defect(predicted_0_1_covariance[9])))))
-    {
-        return BATTERY_RESULT_NOT_FINITE;
-    }
-    next->predicted_mode_probability[0] = mode_prediction_0;
-    next->predicted_mode_probability[1] = 0.0;
-    next->predicted_mode_probability[2] = mode_prediction_2;
-    next->predicted_mode_probability[3] = 0.0;
-    next->predicted_log_weight[0] = t13;
-    next->predicted_log_weight[1] = BATTERY_LOG_ZERO;
-    next->predicted_log_weight[2] = t15;
-    next->predicted_log_weight[3] = BATTERY_LOG_ZERO;
-    battery_copy(moved_state_1, &next->mode_state[8], 4);
-    battery_copy(moved_covariance_1, &next->mode_covariance[20], 10);
-    battery_copy(predicted_0_1_mean, next->predicted_state, 4);
-    battery_copy(predicted_0_1_covariance, next->predicted_covariance, 10);
-    next->mode_state[0] = moved_state_0[0];
-    next->mode_state[4] = moved_state_0[0];
-    next->mode_state[12] = moved_state_0[0];
-    next->mode_state[1] = moved_state_0[1];
-    next->mode_state[5] = moved_state_0[1];
-    next->mode_state[13] = moved_state_0[1];
-    next->mode_state[2] = moved_state_0[2];
-    next->mode_state[6] = moved_state_0[2];
-    next->mode_state[14] = moved_state_0[2];
-    next->mode_state[3] = moved_state_0[3];
-    next->mode_state[7] = moved_state_0[3];
-    next->mode_state[15] = moved_state_0[3];
-    battery_combined_prediction(moved_covariance_0, next->mode_covariance);
-    battery_combined_prediction(&moved_covariance_0[3], &next->mode_covariance[3]);
-    battery_combined_prediction(&moved_covariance_0[6], &next->mode_covariance[6]);
-    next->mode_covariance[9] = moved_covariance_0[9];
-    next->mode_covariance[19] = moved_covariance_0[9];
-    next->mode_covariance[39] = moved_covariance_0[9];
+    status = battery_law_of_the_next_2(self->mode_probability, self->log_weight,
+        self->mode_filtered_state, self->mode_filtered_covariance, Q,
+        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
+        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
+    if (status != BATTERY_OK) { return status; }
     return BATTERY_OK;
 }
 

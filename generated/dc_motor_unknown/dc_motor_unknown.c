@@ -548,36 +548,30 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combination(c
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-/* hypothesis 4: innovation, row by row. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
-    const double *mode_state, const double u, const double *mode_covariance,
-    const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
+/* weights of the hypotheses. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_weights_of_the_hypotheses(const
+    double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
     const double determinant_h2_0, const double log_constant_h2, const double quadratic_h2,
     const double determinant_h3_0, const double log_constant_h3, const double quadratic_h3,
-    const double *held_probability, const double *held_logarithm, const double pivot_h0_0,
-    const double pivot_h1_0, const double pivot_h2_0, const double pivot_h3_0,
+    const double determinant_h4_0, const double log_constant_h4, const double quadratic_h4,
+    const double *held_probability, const double *held_logarithm, const double u,
+    const double *mode_state, const double pivot_h0_0, const double pivot_h1_0,
+    const double pivot_h2_0, const double pivot_h3_0, const double pivot_h4_0,
     const double pivot_h0_1, const double pivot_h1_1, const double pivot_h2_1,
-    const double pivot_h3_1, const double innovation_h0_0, const double innovation_h1_0,
-    const double innovation_h2_0, const double innovation_h3_0, const double innovation_h0_1,
-    const double innovation_h1_1, const double innovation_h2_1, const double innovation_h3_1,
+    const double pivot_h3_1, const double pivot_h4_1, const double innovation_h0_0,
+    const double innovation_h1_0, const double innovation_h2_0, const double innovation_h3_0,
+    const double innovation_h4_0, const double innovation_h0_1, const double innovation_h1_1,
+    const double innovation_h2_1, const double innovation_h3_1, const double innovation_h4_1,
     const double *mean_h0, const double *mean_h1, const double *mean_h2, const double *mean_h3,
-    const double *covariance_h0, const double *covariance_h1, const double *covariance_h2,
-    const double *covariance_h3, double *innovation, double *innovation_covariance, double *nis,
-    double *filtered_state, double *filtered_covariance, double *paper_state,
-    double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
-    double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
-    double *mode_probability, double *log_weight, double *log_likelihood, uint32_t present)
+    const double *mean_h4, const double *covariance_h0, const double *covariance_h1,
+    const double *covariance_h2, const double *covariance_h3, const double *covariance_h4,
+    double *innovation, double *innovation_covariance, double *nis, double *filtered_state,
+    double *filtered_covariance, double *paper_state, double *success_rate_estimate,
+    double *mode_filtered_state, double *mode_filtered_covariance, double *mode_deviation,
+    double *mode_deviation_covariance, double *mode_deviation_cross, double *mode_probability,
+    double *log_weight, double *log_likelihood, uint32_t present)
 {
-    double innovation_h4_0 = 0.0;
-    double innovation_h4_1 = 0.0;
-    double mean_h4[3];
-    double covariance_h4[6];
-    double pivot_h4_0;
-    double quadratic_h4 = 0.0;
-    double log_constant_h4 = 0.0;
-    double determinant_h4_0 = 1.0;
-    double pivot_h4_1 = 0.0;
     double log_likelihood_h0;
     double log_likelihood_h1;
     double log_likelihood_h2;
@@ -605,17 +599,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
-
-    /* hypothesis 4: innovation, row by row */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[8], &innovation_h4_0, u, &innovation_h4_1,
-        mean_h4, mode_covariance, covariance_h4, &pivot_h4_0, &quadratic_h4, &log_constant_h4,
-        &determinant_h4_0, &pivot_h4_1, dc_motor_unknown_hypothesis_numbers[4], present);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
-        dc_motor_unknown_defect(mean_h4[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
 
     /* weights of the hypotheses */
     const double t0 = quadratic_h0 + (log_constant_h0 + dc_motor_unknown_log(determinant_h0_0));
@@ -740,15 +723,17 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     const double t63 = t62 + (held_probability[2] * innovation_h2_1);
     const double t64 = t63 + (held_probability[3] * innovation_h3_1);
     combined_innovation[1] = t64 + (held_probability[4] * innovation_h4_1);
-    whitening_pivot_combined_0 = combined_variance[0];
+    const double t65 = 1.7763568394002505e-15 * combined_variance[0];
+    whitening_pivot_combined_0 = (combined_variance[0] > t65) ? combined_variance[0] : t65;
     if ((present & 0x1u) != 0u)
     {
         if (!(whitening_pivot_combined_0 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    const double t65 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t65;
+    const double t66 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
+    const double t67 = 1.7763568394002505e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t66 > t67) ? t66 : t67;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
@@ -808,6 +793,15 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double log_constant_h3 = 0.0;
     double determinant_h3_0 = 1.0;
     double pivot_h3_1 = 0.0;
+    double innovation_h4_0 = 0.0;
+    double innovation_h4_1 = 0.0;
+    double mean_h4[3];
+    double covariance_h4[6];
+    double pivot_h4_0;
+    double quadratic_h4 = 0.0;
+    double log_constant_h4 = 0.0;
+    double determinant_h4_0 = 1.0;
+    double pivot_h4_1 = 0.0;
     dc_motor_unknown_status_t status;
     dc_motor_unknown_copy(self->mode_probability, held_probability, 5);
     dc_motor_unknown_copy(self->log_weight, held_logarithm, 5);
@@ -849,18 +843,32 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
     /* hypothesis 4: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
-        determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
-        quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
-        log_constant_h3, quadratic_h3, held_probability, held_logarithm, pivot_h0_0, pivot_h1_0,
-        pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1, innovation_h0_0,
-        innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1, innovation_h1_1,
-        innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3, covariance_h0,
-        covariance_h1, covariance_h2, covariance_h3, next->innovation, next->innovation_covariance,
-        &next->nis, next->filtered_state, next->filtered_covariance, next->paper_state,
-        &next->success_rate_estimate, next->mode_filtered_state, next->mode_filtered_covariance,
-        next->mode_deviation, next->mode_deviation_covariance, next->mode_deviation_cross,
-        next->mode_probability, next->log_weight, &next->log_likelihood, present);
+    status = dc_motor_unknown_hypothesis(y, &self->mode_state[8], &innovation_h4_0, u[0],
+        &innovation_h4_1, mean_h4, &self->mode_covariance[12], covariance_h4, &pivot_h4_0,
+        &quadratic_h4, &log_constant_h4, &determinant_h4_0, &pivot_h4_1,
+        dc_motor_unknown_hypothesis_numbers[4], present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
+        dc_motor_unknown_defect(mean_h4[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* weights of the hypotheses */
+    status = dc_motor_unknown_weights_of_the_hypotheses(determinant_h0_0, log_constant_h0,
+        quadratic_h0, determinant_h1_0, log_constant_h1, quadratic_h1, determinant_h2_0,
+        log_constant_h2, quadratic_h2, determinant_h3_0, log_constant_h3, quadratic_h3,
+        determinant_h4_0, log_constant_h4, quadratic_h4, held_probability, held_logarithm, u[0],
+        self->mode_state, pivot_h0_0, pivot_h1_0, pivot_h2_0, pivot_h3_0, pivot_h4_0, pivot_h0_1,
+        pivot_h1_1, pivot_h2_1, pivot_h3_1, pivot_h4_1, innovation_h0_0, innovation_h1_0,
+        innovation_h2_0, innovation_h3_0, innovation_h4_0, innovation_h0_1, innovation_h1_1,
+        innovation_h2_1, innovation_h3_1, innovation_h4_1, mean_h0, mean_h1, mean_h2, mean_h3,
+        mean_h4, covariance_h0, covariance_h1, covariance_h2, covariance_h3, covariance_h4,
+        next->innovation, next->innovation_covariance, &next->nis, next->filtered_state,
+        next->filtered_covariance, next->paper_state, &next->success_rate_estimate,
+        next->mode_filtered_state, next->mode_filtered_covariance, next->mode_deviation,
+        next->mode_deviation_covariance, next->mode_deviation_cross, next->mode_probability,
+        next->log_weight, &next->log_likelihood, present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }

@@ -61,14 +61,13 @@ def test_double_survives_a_prior_of_a_trillion():
     assert np.linalg.det(result.filtered_covariance).min() > 0.0
 
 
-def test_a_joseph_update_is_chosen_where_the_short_one_would_lose_digits():
-    notes = {
-        "float": generated(track("float")).files["plant.h"],
-        "extreme": generated(track("double", P0=[[1e10, 0.0], [0.0, 1e10]])).files["plant.h"],
-        "mild": generated(track("double", P0=[[1.0, 0.0], [0.0, 1.0]])).files["plant.h"],
-    }
+def test_the_form_of_the_update_follows_the_digits_at_stake():
+    variances = {"mild": 1.0, "wide": 1e5, "extreme": 1e10}
+    models = {name: track("double", P0=[[v, 0.0], [0.0, v]]) for name, v in variances.items()}
+    models["float"] = track("float", P0=[[1.0, 0.0], [0.0, 1.0]])
+    notes = {name: generated(model).files["plant.h"] for name, model in models.items()}
     forms = {name: re.search(r"Covariance update: (\w+) form", t)[1] for name, t in notes.items()}
-    assert forms == {"float": "joseph", "extreme": "joseph", "mild": "short"}
+    assert forms == {"float": "ud", "extreme": "ud", "wide": "joseph", "mild": "short"}
 
 
 def diagonal(model):

@@ -19,7 +19,7 @@ from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import At
 from fkgen.symbolic.index import packed as place
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, is_zero, sparse, total, unpack
+from fkgen.symbolic.linalg import column, diagonal, is_zero, sparse, total, unpack
 
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -209,22 +209,23 @@ def whiten(
     *,
     kept: Sequence[ca.SX] = (),
     tolerance: float | None = None,
+    least: float = 0.0,
 ) -> Whitened:
     """Write the blocks that eliminate S (packed) from ``columns`` (p, c).
 
     ``kept`` is positive where a row counts that is there; with a ``tolerance`` those do not of
-    which so small a share of their variance is news.
+    which so small a share of their variance is news. No pivot counts for less than the share
+    ``least`` of its variance: for S that is positive definite, where what is less is rounding.
     """
     p = columns.shape[0]
-    if (
-        not kept and tolerance is None and are_many(p**4 / 3.0)
-    ):  # each step in line goes through those before it again
-        return _whiten_in_loops(builder, packed, columns, tag)
-    S = ca.SX(unpack(packed, p))
+    in_loops = are_many(p**4 / 3.0)  # each step in line goes through those before it again
+    if in_loops and not kept and tolerance is None:
+        return _whiten_in_loops(builder, packed, columns, tag, least)
+    S, own = ca.SX(unpack(packed, p)), diagonal(packed)
     rows = [columns[i, :] for i in range(p)]
     inverses, logs = [], []
     for j in range(p):
-        pivot = builder.define(f"whitening_pivot{tag}_{j}", S[j, j])
+        pivot = builder.define(f"whitening_pivot{tag}_{j}", _at_least(S[j, j], own[j], least))
         inverse, log = f"whitening_inverse{tag}_{j}", f"whitening_log{tag}_{j}"
         inverses.append(builder.local(inverse, 1, initial=0.0))
         logs.append(builder.local(log, 1, initial=0.0))
@@ -244,7 +245,14 @@ def whiten(
     return Whitened(ca.vertcat(*rows), inverses, total(logs))
 
 
-def _whiten_in_loops(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
+def _at_least(pivot: ca.SX, own: ca.SX, share: float) -> ca.SX:
+    """A pivot, or a share of the variance that it is left of."""
+    return pivot if share == 0.0 or pivot is own else ca.fmax(pivot, share * own)
+
+
+def _whiten_in_loops(
+    builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str, least: float
+) -> Whitened:
     """The same elimination, of copies in arrays; columns lie one after the other."""
     p, c = columns.shape
     given = builder.array(f"whitening_variance{tag}", packed)
@@ -258,7 +266,8 @@ def _whiten_in_loops(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: 
     with builder.loop("i", 0, packed.numel()) as i:
         builder.assign({At(S, i): builder.at(given, i)})
     with builder.loop("j", 0, p) as j:
-        pivot = builder.define(f"whitening_pivot{tag}", builder.at(S, place(j, j)))
+        kept, own = (builder.at(name, place(j, j)) for name in (S, given))
+        pivot = builder.define(f"whitening_pivot{tag}", _at_least(kept, own, least))
         now = builder.define(
             f"whitening_row{tag}", column([builder.at(e, j + p * a) for a in range(c)])
         )

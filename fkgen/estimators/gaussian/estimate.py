@@ -16,14 +16,18 @@ from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.blocked import moved_covariance, moved_mean
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
+from fkgen.estimators.gaussian.rolled import is_rolled
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
+    Prior,
     condition,
 )
+from fkgen.estimators.gaussian.ud import Factors, Wide, columns_of, noise_columns
 from fkgen.problem import Spec
+from fkgen.problem.table.place import Place
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.lifting.equations import shifted, turned_by
@@ -42,7 +46,16 @@ from fkgen.symbolic.recursion import Guard
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
 SHORT_FORM_RATIO = 1e6
 
-#: The same for families whose statistic divides by a difference of two covariances.
+#: Beyond this one the Joseph form loses positivity in double with several rows and sparse A.
+JOSEPH_FORM_RATIO = 1e10
+
+#: Factors are written in straight lines, for as many states at most.
+FACTORED_STATES = 12
+
+#: Smallest eigenvalue of a correlation matrix that is taken for positive.
+CERTAIN = 1e-9
+
+#: The same as the first for families whose statistic divides by a difference of two covariances.
 DIFFERENCE_RATIO = 1e2
 
 
@@ -55,16 +68,38 @@ class Posterior:
     deviation: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r,)
     deviation_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # packed
     cross_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r, n)
+    factors: Factors | None = None  # of the covariance of both, if it is carried so
 
 
-def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
-    """The covariance update of ``code.update``; "auto" decides on the digits at stake."""
-    if spec.code.update != "auto":
-        return spec.code.update
-    if spec.code.scalar == "float" or plant.noise_free or augmented:
-        return "joseph"
+def update_form(
+    spec: Spec, plant: Plant, *, augmented: bool, factored: bool = False, many: int = 1
+) -> Form:
+    """The covariance update of ``code.update``; "auto" decides on the digits at stake.
+
+    ``factored`` says that the filter has the form "ud" for this plant, ``many`` how many
+    covariances it carries.
+    """
+    float_, stated, size = spec.code.scalar == "float", spec.code.update, FACTORED_STATES
+    rows = measurement_of(
+        plant, y=ca.SX(plant.ny, 1), C=plant.C, offset=ca.SX(plant.ny, 1), R=plant.R
+    )
+    small = spec.code.form != "loops" and many * plant.ne**3 <= size**3
+    small = small and not is_rolled(rows, with_gain=False)
+    if stated == "ud" and not (factored and small):
+        why = f"{many} x {plant.ne} states, {plant.ny} rows" if factored else spec.filter.family
+        expected = f"code.form without loops, {size} states at most and few rows of y"
+        expected = expected if factored else '"joseph": this filter has no factored form here'
+        at = Place(spec.file, "code").entry("update")
+        raise at.error(f'"ud" for {why}', expected)
+    if stated != "auto":
+        return stated
     ratio = DIFFERENCE_RATIO if spec.filter.traits.windows == "full" else SHORT_FORM_RATIO
-    return "short" if prior_to_noise(spec) <= ratio else "joseph"
+    at_stake = prior_to_noise(spec)
+    if factored and small and (float_ or JOSEPH_FORM_RATIO < at_stake < np.inf):
+        return "ud"
+    if float_ or plant.noise_free or augmented:
+        return "joseph"
+    return "short" if at_stake <= ratio else "joseph"
 
 
 def prior_to_noise(spec: Spec) -> float:
@@ -85,7 +120,7 @@ def correct(
     builder: PhaseBuilder,
     plant: Plant,
     actuation: Actuation,
-    prior: tuple[ca.SX, ca.SX],
+    prior: Prior,
     *,
     y: ca.SX,
     form: Form,
@@ -95,10 +130,11 @@ def correct(
     as_errors: bool = False,
     kept: tuple[ca.SX | None, ...] = (),
 ) -> tuple[Conditioned, Posterior]:
-    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11).
+    """Condition the prediction on y[k]: Strandt et al., (10), (11).
 
-    A plant with f and h is linearised there. ``as_errors`` leaves the corrections of a state with
-    attitudes as errors about the prediction. ``kept`` is what is positive where rows count.
+    The prediction is a state and a packed covariance, or factors. A plant with f and h is
+    linearised there. ``as_errors`` leaves corrections of a state with attitudes as errors about it.
+    ``kept`` is what is positive where rows count.
     """
     joint, measurement = _augmented(plant, actuation, prior, y)
     measurement = replace(measurement, kept=kept)
@@ -115,30 +151,67 @@ def correct(
         deviation=found.mean[count:, 0],
         deviation_covariance=pack(P[n:, n:]),
         cross_covariance=P[n:, :n],
+        factors=found.factors,
     )
     return found, posterior
 
 
 def _augmented(
-    plant: Plant, actuation: Actuation, prior: tuple[ca.SX, ca.SX], y: ca.SX
-) -> tuple[tuple[ca.SX, ca.SX], Measurement]:
+    plant: Plant, actuation: Actuation, prior: Prior, y: ca.SX
+) -> tuple[Prior, Measurement]:
     """What y[k] is about, mean and covariance, and how: x, gamma - xi and noise that v tells of."""
-    n, covariance, C = plant.ne, unpack(prior[1], plant.ne), plant.C
+    n, C, R, held = plant.ne, plant.C, plant.R, prior[1]
+    covariance: ca.SX | Factors = held if isinstance(held, Factors) else unpack(held, n)
     state = ca.SX.zeros(n) if plant.attitudes else prior[0]
     if actuation.size and plant.D.nnz():  # y depends on the random part of the input
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
-        covariance = ca.diagcat(covariance, actuation.covariance)
+        covariance = _beside(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
     offset, S = plant.D @ actuation.mean + plant.d, None
     if plant.seen is not None:  # h has all of it
         offset = ca.SX(plant.ny, 1)
     if moved := moved_by_noise(plant):  # the noise of x that v tells of is estimated with x
         state = ca.vertcat(state, ca.SX.zeros(len(moved)))
-        C = ca.horzcat(C, ca.SX(plant.ny, len(moved)))
-        covariance = ca.diagcat(covariance, plant.Q[moved, moved])
-        S = ca.vertcat(ca.SX(n, plant.ny), plant.S[moved, :])
-    measurement = measurement_of(plant, y=y, C=C, offset=offset, R=plant.R)
+        through = ca.SX(plant.ny, len(moved))
+        if isinstance(covariance, Factors):
+            through, R = told_by_noise(plant)
+        else:
+            S = ca.vertcat(ca.SX(n, plant.ny), plant.S[moved, :])
+        C = ca.horzcat(C, through)
+        covariance = _beside(covariance, plant.Q[moved, moved])
+    measurement = measurement_of(plant, y=y, C=C, offset=offset, R=R)
     return (state, covariance), replace(measurement, S=S)
+
+
+def _beside(covariance: ca.SX | Factors, other: ca.SX) -> ca.SX | Factors:
+    """The covariance of two things that know nothing of each other."""
+    if isinstance(covariance, Factors):
+        return covariance.joined(other)
+    return ca.diagcat(covariance, other)
+
+
+def told_by_noise(plant: Plant) -> tuple[ca.SX, ca.SX]:
+    """T and what is left of R where v = T w + v' for the noise w of the states that v tells of."""
+    moved = moved_by_noise(plant)
+    S, Q = (np.array(ca.DM(each)) for each in (plant.S[moved, :], plant.Q[moved, moved]))
+    T = S.T @ np.linalg.pinv(Q, hermitian=True)
+    left = np.array(ca.DM(plant.R)) - T @ Q @ T.T
+    return sparse(ca.SX(ca.DM(T))), sparse(ca.SX(ca.DM((left + left.T) / 2.0)))
+
+
+def has_factors(plant: Plant) -> bool:
+    """Whether the covariance of this plant can be carried as U D U'."""
+    if not plant.S.nnz():
+        return True
+    moved = moved_by_noise(plant)
+    others = [i for i in range(plant.ne) if i not in moved]
+    if plant.Q[moved, others].nnz() or not all(
+        each.is_constant() for each in (plant.S, plant.Q, plant.R)
+    ):
+        return False
+    left = np.array(ca.DM(told_by_noise(plant)[1]))
+    least = float(np.linalg.eigvalsh(left / np.sqrt(np.outer(np.diag(left), np.diag(left))))[0])
+    return bool((np.diag(left) > 0.0).all()) and least > CERTAIN
 
 
 def _turned(
@@ -151,6 +224,11 @@ def _turned(
     turn = ca.diagcat(turn, ca.SX.eye(m - n))
     mean = ca.vertcat(state, found.mean[n:])
     gain = None if found.gain is None else turn @ found.gain
+    if found.factors is not None:
+        turned = found.factors.moved(turn, ca.SX(m, 0), ca.SX(0, 1))
+        turned = turned.named(builder, f"turned_factors{tag}")
+        covariance = turned.covariance()
+        return replace(found, mean=mean, covariance=covariance, gain=gain, factors=turned)
     return replace(
         found, mean=mean, covariance=congruence(turn, unpack(found.covariance, m)), gain=gain
     )
@@ -245,6 +323,41 @@ def propagate(
     return state, congruence(turn, unpack(covariance, n)), turn @ through
 
 
+def propagate_factors(
+    plant: Plant, actuation: Actuation, posterior: Posterior, factors: Factors | Wide
+) -> tuple[ca.SX, Factors, ca.SX]:
+    """The same with the factors of all that ``posterior`` is about: Thornton 1976."""
+    n, moved, order = plant.ne, moved_by_noise(plant), factors.order[: plant.ne]
+    B, Q, through = plant.B @ actuation.through, ca.SX(plant.Q), plant.A
+    state = plant.moved
+    if state is None:
+        state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
+    joint = posterior.deviation.numel() > 0
+    if moved:  # their noise is part of what was estimated
+        B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
+    columns = [noise_columns(Q, order, factors.scalar)]
+    if plant.G is not None and plant.lifted is not None:
+        columns.append((plant.G, plant.lifted.variances))
+    if joint:
+        through = ca.horzcat(plant.A, B)
+    elif actuation.size:
+        own, weights = columns_of(actuation.covariance, factors.scalar)
+        columns.append((sparse(B @ own), weights))
+    noise, weights = (
+        ca.horzcat(*(each for each, _ in columns)),
+        ca.vertcat(*(w for _, w in columns)),
+    )
+    found = factors.moved(through, noise, weights, order)
+    if joint:
+        shift = B @ posterior.deviation
+        if not plant.attitudes:
+            return state + shift, found, through
+        turn = turned_by(plant.attitudes, shift)
+        state = shifted(state, shift, plant.attitudes)
+        return state, found.moved(turn, ca.SX(n, 0), ca.SX(0, 1)), turn @ through
+    return state, found, through
+
+
 def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
     """The plant with its computed entries named; variances below zero are refused."""
     return bound_all(builder, (plant,), letters)[0]
@@ -285,6 +398,7 @@ def demand_finite(builder: PhaseBuilder, state: ca.SX) -> None:
     builder.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
 
 
-def demand_positive(builder: PhaseBuilder, packed: ca.SX) -> None:
-    """Refuse to go on from a covariance with a negative variance."""
-    builder.demand(Kind.NONNEGATIVE, diagonal(packed), Status.NOT_POSITIVE_DEFINITE)
+def demand_positive(builder: PhaseBuilder, held: ca.SX | Factors) -> None:
+    """Refuse to go on from a covariance, packed or as factors, with a negative variance."""
+    variances = ca.vertsplit(held.scale) if isinstance(held, Factors) else diagonal(held)
+    builder.demand(Kind.NONNEGATIVE, variances, Status.NOT_POSITIVE_DEFINITE)

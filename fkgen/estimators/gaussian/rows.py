@@ -15,7 +15,7 @@ from fkgen.symbolic.index import Whole
 from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.linalg import column, diagonal, is_zero, outer_lower, total, unpack
 
-Form = Literal["short", "joseph"]
+Form = Literal["short", "joseph", "ud"]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -66,15 +66,11 @@ class SequentialUpdate:
     def update_row(self, i: int) -> None:
         """Take row i in: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, builder, label, significant = self.rows[i], self.builder, self.label(i), None
-        cross = unpack(self.covariance, self.mean.numel()) @ row.c
-        if row.shared is not None:
-            cross = cross + row.shared
-        if not all(each.is_leaf() for each in ca.vertsplit(cross)):
-            cross = builder.define(f"cross{label}", cross)
+        cross, variance = self.sensed(row, label)
         later = self.rows[i + 1 :] if self.variance is None else []
         products = [ca.mtimes(other.c.T, cross) for other in later]
         coupling = builder.define(f"coupling{label}", column(products))
-        pivot = builder.define(f"pivot{label}", ca.mtimes(row.c.T, cross) + row.variance)
+        pivot = builder.define(f"pivot{label}", variance)
         self.coupling.append(coupling)
         self.pivot.append(pivot)
         innovation = self._innovation(i)
@@ -98,6 +94,15 @@ class SequentialUpdate:
             self.rejected.append(flag)
         with builder.if_present(row_of_y, significant, present=bool(self.at)):
             self.take(i, cross, innovation)
+
+    def sensed(self, row: Row, label: str) -> tuple[ca.SX, ca.SX]:
+        """P c, and the variance of the innovation of a row."""
+        cross = unpack(self.covariance, self.mean.numel()) @ row.c
+        if row.shared is not None:
+            cross = cross + row.shared
+        if not all(each.is_leaf() for each in ca.vertsplit(cross)):
+            cross = self.builder.define(f"cross{label}", cross)
+        return cross, ca.mtimes(row.c.T, cross) + row.variance
 
     def _innovation(self, i: int) -> ca.SX:
         """Innovation of row i given the rows before it."""
@@ -130,7 +135,7 @@ class SequentialUpdate:
             new[f"determinant{tag}_{chunk}"] = self.determinant[chunk] * pivot
         if cross.nnz():  # else a row of noise alone, which says nothing about the state
             new[f"mean{tag}"] = self.mean + cross * weight
-            new[f"covariance{tag}"] = self._reduced(row, cross, k)
+            new[f"covariance{tag}"] = self.reduced(row, cross, k)
         if self.gain is not None:
             gain = self.gain + ca.mtimes(k, row.of_y.T - ca.mtimes(row.c.T, self.gain))
             new[f"update_gain{tag}"] = ca.reshape(ca.densify(gain), -1, 1)
@@ -163,7 +168,7 @@ class SequentialUpdate:
             entries.append(total([first, *lower]))
         return column(entries)
 
-    def _reduced(self, row: Row, cross: ca.SX, k: ca.SX) -> ca.SX:
+    def reduced(self, row: Row, cross: ca.SX, k: ca.SX) -> ca.SX:
         """P - k (P c)', in Joseph form corrected by the residual r k - (P - k c'P) c."""
         short = self.covariance - outer_lower(k, cross)
         if self.form == "short":

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
 from fkgen.estimators.gaussian.blocked import BlockedUpdate, is_blocked
 from fkgen.estimators.gaussian.decorrelation import Decorrelation, Measurement, multiplied
+from fkgen.estimators.gaussian.factored import FactoredUpdate
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rolled import Arrays, is_rolled, taken_in_loops
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
+from fkgen.estimators.gaussian.ud import Factors
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import column, congruence, operations, pack, reduced, total
 
@@ -39,11 +42,16 @@ class Conditioned:
     log_likelihood: ca.SX
     gain: ca.SX | None  # (m, p), d mean / d y, columns of missing rows zero
     rejected: Sequence[ca.SX] = ()  # 1 for each row that a gate leaves out; empty without one
+    factors: Factors | None = None  # Of the covariance, if that of the prior has factors
+
+
+#: Mean and covariance, (m, m) or as factors.
+Prior = tuple[ca.SX, ca.SX | Factors]
 
 
 def condition(
     builder: PhaseBuilder,
-    prior: tuple[ca.SX, ca.SX],
+    prior: Prior,
     measurement: Measurement,
     *,
     tag: str = "",
@@ -57,6 +65,13 @@ def condition(
     An ``innovation`` that is there already is zero where its row is missing.
     """
     by_row = gate if gate is not None and not gate.together else None
+    if isinstance(held := prior[1], Factors):
+        innovation = innovation or innovations(builder, prior[0], measurement, tag)
+        rows = _Rows(builder, measurement, tag, innovation)
+        update = rows.taken((prior[0], held), form, by_row, with_gain=with_gain)
+        found = _found(update, innovation, held)
+        return found if gate is None or by_row else _gated(builder, gate, found, prior)
+    prior = prior[0], held
     if is_blocked(measurement):
         blocked = BlockedUpdate(
             builder=builder, measurement=measurement, prior=prior, tag=tag, gate=by_row
@@ -67,25 +82,34 @@ def condition(
         found = _together(blocked, innovation, form, with_gain=with_gain)
         return found if gate is None or by_row else _gated(builder, gate, found, prior)
     innovation = innovation or innovations(builder, prior[0], measurement, tag)
-    update: SequentialUpdate
     if is_rolled(measurement, with_gain=with_gain):
         arrays = Arrays(builder, measurement, tag, with_gain=with_gain)
         update = taken_in_loops(arrays, prior, innovation, form, by_row)
     else:
         rows = _Rows(builder, measurement, tag, innovation)
         update = rows.taken(prior, form, by_row, with_gain=with_gain)
-    S = update.variance
-    found = Conditioned(
+    found = _found(update, innovation)
+    return found if gate is None or by_row else _gated(builder, gate, found, prior)
+
+
+def _found(
+    update: SequentialUpdate, innovation: list[ca.SX], held: Factors | None = None
+) -> Conditioned:
+    """What rows said that were taken in one by one."""
+    S, factors = update.variance, None
+    if held is not None:
+        factors = Factors.of(update.covariance, held.order, held.scalar)
+    return Conditioned(
         mean=update.mean,
-        covariance=update.covariance,
+        covariance=update.covariance if factors is None else factors.covariance(),
         innovation=column(innovation),
         innovation_covariance=update.innovation_covariance() if S is None else S,
         nis=update.nis,
         log_likelihood=_log_likelihood(update.nis, update.log_constant, update.determinant),
         gain=update.gain,
         rejected=update.rejected,
+        factors=factors,
     )
-    return found if gate is None or by_row else _gated(builder, gate, found, prior)
 
 
 def _log_likelihood(nis: ca.SX, log_constant: ca.SX, determinant: Sequence[ca.SX]) -> ca.SX:
@@ -135,7 +159,7 @@ class _Rows:
     innovation: list[ca.SX]
 
     def taken(
-        self, prior: tuple[ca.SX, ca.SX], form: Form, gate: Gate | None, *, with_gain: bool
+        self, prior: Prior, form: Form, gate: Gate | None, *, with_gain: bool
     ) -> SequentialUpdate:
         """The prior with all rows; with a gate their noise leaves the rows below once they pass."""
         builder, measurement, (p, m) = self.builder, self.measurement, self.measurement.C.shape
@@ -143,21 +167,26 @@ class _Rows:
         noise = Decorrelation(builder, measurement, self.innovation, self.tag)
         if gate is None:
             noise.eliminate_all()
-        update = SequentialUpdate(
-            builder=builder,
-            rows=[noise.row(i) for i in range(p)],
-            at=measurement.at,
-            tag=self.tag,
-            form=form,
-            variance=variance,
-            rank_tolerance=measurement.rank_tolerance,
-            prior=prior[0],
-            covariance=pack(prior[1]),
-            gain=ca.SX(m, p) if with_gain else None,
-            pivots_per_log=measurement.pivots_per_log,
-            gate=gate,
-            kept=measurement.kept,
-        )
+        facts: dict[str, Any] = {
+            "builder": builder,
+            "rows": [noise.row(i) for i in range(p)],
+            "at": measurement.at,
+            "tag": self.tag,
+            "form": form,
+            "variance": variance,
+            "rank_tolerance": measurement.rank_tolerance,
+            "prior": prior[0],
+            "gain": ca.SX(m, p) if with_gain else None,
+            "pivots_per_log": measurement.pivots_per_log,
+            "gate": gate,
+            "kept": measurement.kept,
+        }
+        update: SequentialUpdate
+        if isinstance(held := prior[1], Factors):
+            facts |= {"order": held.order, "scalar": held.scalar}
+            update = FactoredUpdate(covariance=held.packed, **facts)
+        else:
+            update = SequentialUpdate(covariance=pack(held), **facts)
         for i, name in enumerate(measurement.rows):
             update.rows[i] = noise.row(i)
             with builder.titled(f"row {measurement.at[i]} of y, {name}"):
@@ -168,13 +197,15 @@ class _Rows:
         return update
 
 
-def _gated(
-    builder: PhaseBuilder, gate: Gate, found: Conditioned, prior: tuple[ca.SX, ca.SX]
-) -> Conditioned:
+def _gated(builder: PhaseBuilder, gate: Gate, found: Conditioned, prior: Prior) -> Conditioned:
     """What all rows say together, or the prior where they do not fit it."""
+    held, factors = prior[1], found.factors
+    both = (found.covariance, pack(held)) if isinstance(held, ca.SX) else (ca.SX(), ca.SX())
+    if factors is not None and isinstance(held, Factors):
+        both = factors.packed, held.packed
     values = {
         "mean": (found.mean, prior[0]),
-        "covariance": (found.covariance, pack(prior[1])),
+        "covariance": both,
         "nis": (found.nis, ca.SX(0)),
         "log_likelihood": (found.log_likelihood, ca.SX(0)),
     }
@@ -182,11 +213,14 @@ def _gated(
         values["gain"] = found.gain, ca.SX.zeros(found.gain.shape)
     with_rows, without = ({name: pair[at] for name, pair in values.items()} for at in (0, 1))
     rejected, kept = gate.sample(builder, found.nis, with_rows, without)
-    return replace(found, rejected=rejected, **kept)
+    if factors is not None:
+        factors = Factors.of(kept["covariance"], factors.order, factors.scalar)
+        kept["covariance"] = factors.covariance()
+    return replace(found, rejected=rejected, factors=factors, **kept)
 
 
 def _variance(
-    builder: PhaseBuilder, covariance: ca.SX, measurement: Measurement, tag: str
+    builder: PhaseBuilder, covariance: ca.SX | Factors, measurement: Measurement, tag: str
 ) -> ca.SX | None:
     """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
 
@@ -194,7 +228,8 @@ def _variance(
     is not shown, C drops it, and innovations that are corrected through the mean cost least.
     """
     C, R = measurement.C, measurement.R
-    p, S = C.shape[0], congruence(C, covariance) + pack(R)
+    seen = covariance.seen(C) if isinstance(covariance, Factors) else congruence(C, covariance)
+    p, S = C.shape[0], seen + pack(R)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
     if decided and measurement.shows_variance and by_factors <= operations(S):

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.estimators.gaussian.actuation import actuation_of, rates_of
+from fkgen.estimators.gaussian.actuation import Actuation, actuation_of, rates_of
 from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
@@ -17,8 +17,10 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     finite,
+    has_factors,
     moved_by_noise,
     propagate,
+    propagate_factors,
     update_form,
 )
 from fkgen.estimators.gaussian.gate import (
@@ -29,7 +31,8 @@ from fkgen.estimators.gaussian.gate import (
     gate_results,
 )
 from fkgen.estimators.gaussian.rows import Form
-from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.sequential import Conditioned, Prior
+from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
 from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
 from fkgen.estimators.hindsight.lagged import Lagged
 from fkgen.estimators.hindsight.replay import Replay
@@ -41,33 +44,46 @@ from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import by_rows, from_rows, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    factor_ports,
+    innovation_ports,
+    shown,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
-    replay = replay_of(spec, plant)
+    replay, delays, lagged = replay_of(spec, plant), _delays(spec, plant), _lagged(spec, plant)
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
+    factored = has_factors(plant) and not delays.rows and not lagged.lag
+    form = update_form(spec, plant, augmented=size > 0, factored=factored)
+    beside, notes = size + len(moved_by_noise(plant)), (*gate_notes(spec), *delays.notes)
+    notes += (*(() if replay is None else replay.notes), *lagged.notes)
+    order = order_of((plant,)) if form == "ud" else ()
+    if form == "ud":
+        ports = (*factor_ports(plant.ne, beside), *ports)
     symbols = symbols_of(spec, plant, ports)
-    form = update_form(spec, plant, augmented=size > 0)
+    start = lagged.start(spec, symbols)
+    if form == "ud":
+        begun = {"predicted_factors": 1} | ({} if beside else {"filtered_factors": 1})
+        start = started(spec, symbols, begun, order)
+        notes += factors_note(order, spec)
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        start=_lagged(spec, plant).start(spec, symbols),
-        update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
-        predict=prediction(spec, plant, symbols, with_gain=with_gain),
+        start=start,
+        update=_update(spec, plant, symbols, (form, order), with_gain=with_gain),
+        predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order),
         form=form,
-        outcomes=(*gate_outcomes(spec), *_delays(spec, plant).outcomes),
-        notes=(
-            *gate_notes(spec),
-            *_delays(spec, plant).notes,
-            *(() if replay is None else replay.notes),
-            *_lagged(spec, plant).notes,
-        ),
+        outcomes=(*gate_outcomes(spec), *delays.outcomes),
+        notes=notes,
         repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),
     )
 
@@ -169,20 +185,36 @@ def _sensed(spec: Spec, plant: Plant) -> Plant:
     return replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
 
 
-def _update(
-    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
-) -> Phase:
-    builder = PhaseBuilder(symbols)
-    demand_positive(builder, symbols["predicted_covariance"])
+def _measured(
+    builder: PhaseBuilder, spec: Spec, plant: Plant, symbols: dict[str, ca.SX]
+) -> tuple[Plant, Actuation]:
+    """The plant as its rows are measured about the prediction, and what acts on it."""
     _demand_rates(builder, spec, plant)
-    delays, replay = _delays(spec, plant), replay_of(spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
     plant = _sensed(spec, plant)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
-    prior, passage = delays.joint(symbols, PREDICTED), None
+    return plant, actuation
+
+
+def _update(
+    spec: Spec,
+    plant: Plant,
+    symbols: dict[str, ca.SX],
+    how: tuple[Form, tuple[int, ...]],
+    *,
+    with_gain: bool,
+) -> Phase:
+    """Correct the prediction; ``how`` is the form of the update, and the order of its factors."""
+    builder = PhaseBuilder(symbols)
+    delays, replay, passage = _delays(spec, plant), replay_of(spec, plant), None
+    prior: Prior = delays.joint(symbols, PREDICTED)
+    if how[1]:
+        prior = prior[0], Factors.of(symbols["predicted_factors"], how[1], plant.scalar)
+    demand_positive(builder, prior[1] if how[1] else symbols["predicted_covariance"])
+    plant, actuation = _measured(builder, spec, plant, symbols)
     if replay is None:
         plant, kept = delays.measured(builder, plant, symbols)
     else:
@@ -194,7 +226,7 @@ def _update(
         actuation,
         prior,
         y=symbols["y"],
-        form=form,
+        form=how[0],
         with_gain=with_gain,
         gate=Gate.of(spec),
         kept=kept,
@@ -209,6 +241,8 @@ def _update(
         **innovation_results(found),
         **gate_results(found.rejected),
     }
+    if posterior.factors is not None:
+        assign["filtered_factors"] = posterior.factors.packed
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
@@ -225,8 +259,18 @@ def _update(
     return builder.phase()
 
 
-def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
-    """Propagate what is known of x, and of inputs and noise, to the next sample."""
+def prediction(
+    spec: Spec,
+    plant: Plant,
+    symbols: dict[str, ca.SX],
+    *,
+    with_gain: bool,
+    order: tuple[int, ...] = (),
+) -> Phase:
+    """Propagate what is known of x, and of inputs and noise, to the next sample.
+
+    ``order`` is that of factors, if there are any.
+    """
     builder, delays = PhaseBuilder(symbols), _delays(spec, plant)
     _demand_rates(builder, spec, plant)
     letters = "ABQc"
@@ -250,10 +294,19 @@ def prediction(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain
             deviation_covariance=symbols[own],
             cross_covariance=from_rows(symbols[cross], r),
         )
-    state, covariance, through = propagate(builder, plant, actuation, posterior)
-    if plant.noise_free:
-        covariance = delays.not_negative(covariance)
-    assign = delays.split(state, covariance, PREDICTED)
+    assign = {}
+    if order:
+        order = (*order, *range(plant.ne, plant.ne + r))
+        held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
+        state, held, through = propagate_factors(plant, actuation, posterior, held)
+        with builder.titled("factors of the next covariance"):
+            held = held.named(builder, "next_factors")
+        covariance, assign["predicted_factors"] = held.covariance(), held.packed
+    else:
+        state, covariance, through = propagate(builder, plant, actuation, posterior)
+        if plant.noise_free:
+            covariance = delays.not_negative(covariance)
+    assign |= delays.split(state, covariance, PREDICTED)
     assign |= delays.aged(symbols, predicted=True)
     if with_gain:
         n, whole = delays.n, plant.ne

@@ -23,17 +23,26 @@ from fkgen.estimators.gaussian.estimate import (
     demand_positive,
     expected,
     finite,
+    has_factors,
     propagate,
+    propagate_factors,
     update_form,
 )
 from fkgen.estimators.gaussian.rows import Form
-from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.sequential import Conditioned, Prior
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    factors_note,
+    order_of,
+    packed_factors,
+    started,
+)
 from fkgen.estimators.models.merge import Chart, Gaussian, combined_innovation, mixture
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interface import Port, triangle
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import (
     by_rows,
@@ -49,6 +58,7 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
+    mode_factor_ports,
     shown,
     state_ports,
     symbols_of,
@@ -71,6 +81,26 @@ class Bank:
     random: tuple[int, ...]
     form: Form
     mixture: bool
+    order: tuple[int, ...] = ()  # of rows of factors, if there are any
+
+    def prior(self, i: int) -> Prior:
+        """The prediction of hypothesis i."""
+        states, packed = self.symbols["mode_state"], self.symbols["mode_covariance"]
+        state, covariance = split_estimates(states, packed, self.plant.nx)[i]
+        if not self.order:
+            return state, covariance
+        held = ca.vertsplit(self.symbols["mode_factors"], covariance.numel())[i]
+        return state, Factors.of(held, self.order, self.plant.scalar)
+
+    def held(self, i: int) -> Factors | None:
+        """The factors of what is filtered by hypothesis i, read back from the ports."""
+        if not self.order:
+            return None
+        n = self.plant.ne
+        sizes = [len(triangle(n + r)) for r in self.random]
+        at, order = sum(sizes[:i]), (*self.order, *range(n, n + self.random[i]))
+        packed = self.symbols["mode_filtered_factors"][at : at + sizes[i]]
+        return Factors.of(packed, order, self.plant.scalar)
 
     def actuation(self, i: int) -> Actuation:
         """Inputs under hypothesis i."""
@@ -108,21 +138,33 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         raise InternalError("mme without actuator faults")
     sensed = plant.D.nnz() > 0
     random = tuple(len(_random_rates(rates)) if sensed else 0 for rates in options.hypotheses)
-    ports = _ports(spec, random)
+    form = update_form(
+        spec, plant, augmented=any(random), factored=has_factors(plant), many=len(random)
+    )
+    ports, start = _ports(spec, random), None
+    order: tuple[int, ...] = ()
+    if form == "ud":
+        ports, order = (*mode_factor_ports(plant.ne, random), *ports), order_of((plant,))
+    symbols = symbols_of(spec, plant, ports)
+    if order:
+        names = ("mode_factors", *(() if any(random) else ("mode_filtered_factors",)))
+        start = started(spec, symbols, dict.fromkeys(names, len(random)), order)
     fits = faults.dependence != "independent" or plant.nu <= LARGEST_MIXTURE
     bank = Bank(
         spec=spec,
         plant=plant,
         faults=faults,
-        symbols=symbols_of(spec, plant, ports),
+        symbols=symbols,
         random=random,
-        form=update_form(spec, plant, augmented=any(random)),
+        form=form,
+        order=order,
         mixture=any(random) and fits and options.likelihood == "mixture",
     )
     return Recursion(
         spec=spec,
         source="Strandt, Schneider & Yaz, eqs. (4), (9)-(18)",
         ports=ports,
+        start=start,
         update=_update(bank),
         predict=_predict(bank),
         form=bank.form,
@@ -130,6 +172,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         notes=(
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",
             f"weight floor: {options.weight_floor:g}",
+            *factors_note(order, spec),
         ),
     )
 
@@ -185,9 +228,9 @@ def _held(builder: PhaseBuilder, symbols: dict[str, ca.SX]) -> tuple[ca.SX, ca.S
 def _update(bank: Bank) -> Phase:
     builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
     y, held = symbols["y"], _held(builder, symbols)
-    priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
-    for _, packed in priors:
-        demand_positive(builder, packed)
+    priors = [bank.prior(i) for i in range(len(bank.random))]
+    for _, covariance in priors:
+        demand_positive(builder, covariance)
     bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     each = [_corrected(builder, bank, i, prior) for i, prior in enumerate(priors)]
     plants, found, posteriors = zip(*each, strict=True)
@@ -203,14 +246,17 @@ def _update(bank: Bank) -> Phase:
             for i, (mean, _) in enumerate(priors)
         ]
         angles = bank.plant.wraps, y
-        results = combined_innovation(builder, held[0], predicted, found, angles)
+        results = combined_innovation(
+            builder, held[0], predicted, found, angles, scalar=bank.spec.code.scalar
+        )
         w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state, covariance = _merged(builder, bank, w, parts, "merged")
+        before = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
             "filtered_state": state,
             "filtered_covariance": covariance,
-            "paper_state": _merged(builder, bank, w, priors, "paper")[0],
+            "paper_state": _merged(builder, bank, w, before, "paper")[0],
             "success_rate_estimate": weighted_sum(w, rates),
             "mode_filtered_state": ca.vertcat(*(mean for mean, _ in parts)),
             "mode_filtered_covariance": ca.vertcat(*(packed for _, packed in parts)),
@@ -219,6 +265,8 @@ def _update(bank: Bank) -> Phase:
             "mode_deviation_cross": ca.vertcat(*(by_rows(p.cross_covariance) for p in posteriors)),
             **weights.ports(),
         }
+        if bank.order:
+            results["mode_filtered_factors"] = packed_factors(p.factors for p in posteriors)
         if "log_weight_unfloored" in symbols:
             results["log_weight_unfloored"] = weights.unfloored
         builder.assign({name: value for name, value in results.items() if value.numel()})
@@ -226,7 +274,7 @@ def _update(bank: Bank) -> Phase:
 
 
 def _corrected(
-    builder: PhaseBuilder, bank: Bank, i: int, prior: Gaussian
+    builder: PhaseBuilder, bank: Bank, i: int, prior: Prior
 ) -> tuple[Plant, Conditioned, Posterior]:
     """What hypothesis i makes of y[k], and the plant where it is."""
     inputs, tag = bank.actuation(i), f"_h{i}"
@@ -239,7 +287,7 @@ def _corrected(
 
 
 def _log_likelihood(
-    builder: PhaseBuilder, bank: Bank, i: int, prior: Gaussian, found: Conditioned
+    builder: PhaseBuilder, bank: Bank, i: int, prior: Prior, found: Conditioned
 ) -> ca.SX:
     """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
     if not bank.mixture or not bank.random[i]:
@@ -247,7 +295,11 @@ def _log_likelihood(
     plant, through = bank.plant, bank.plant.D @ bank.actuation(i).through
     rates = _random_rates(bank.spec.filter.options.hypotheses[i])
     healthless = found.innovation + through @ ca.SX(rates)
-    S = congruence(plant.C, unpack(prior[1], plant.ne)) + pack(plant.R)
+    held = prior[1]
+    if isinstance(held, Factors):
+        S = held.seen(plant.C) + pack(plant.R)
+    else:
+        S = congruence(plant.C, unpack(held, plant.ne)) + pack(plant.R)
     S = builder.define(f"share_variance_h{i}", S)
     whitened = whiten(builder, S, ca.horzcat(healthless, through), f"_h{i}")
     terms = [
@@ -273,20 +325,27 @@ def _merged(
 def _predict(bank: Bank) -> Phase:
     builder = PhaseBuilder(bank.symbols)
     plant = bound(builder, bank.plant, "ABQc")
-    moved = []
+    moved, factors = [], []
     for i in range(len(bank.random)):
-        inputs, filtered = bank.actuation(i), bank.filtered(i)
+        inputs, filtered, held = bank.actuation(i), bank.filtered(i), bank.held(i)
         (own,) = moved_from(builder, [plant], [filtered.state], inputs.mean, f"_h{i}")
-        moved.append(propagate(builder, own, inputs, filtered, f"_h{i}"))
+        if held is None:
+            moved.append(propagate(builder, own, inputs, filtered, f"_h{i}")[:2])
+            continue
+        state, held, _ = propagate_factors(own, inputs, filtered, held)
+        with builder.titled(f"hypothesis {i}: factors of the next covariance"):
+            factors.append(held.named(builder, f"next_factors_h{i}"))
+        moved.append((state, factors[-1].covariance()))
     with builder.titled("prediction of every hypothesis"):
-        states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
-        covariances = builder.define("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
+        states = builder.define("moved_state", ca.vertcat(*(state for state, _ in moved)))
+        covariances = builder.define("moved_covariance", ca.vertcat(*(P for _, P in moved)))
     parts = split_estimates(states, covariances, plant.nx)
     w = bank.symbols["mode_probability"]
     with builder.titled("combined prediction"):
         state, covariance = _merged(builder, bank, w, parts, "combined")
         builder.assign(
-            {
+            ({"mode_factors": packed_factors(factors)} if factors else {})
+            | {
                 "mode_state": states,
                 "mode_covariance": covariances,
                 "predicted_state": state,

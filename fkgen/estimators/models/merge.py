@@ -10,6 +10,7 @@ import casadi as ca
 from fkgen.estimators.gaussian.decorrelation import are_many, whiten
 from fkgen.estimators.gaussian.estimate import off_by
 from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.ud import DUST
 from fkgen.estimators.models.weights import TINY
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import At, packed
@@ -17,6 +18,7 @@ from fkgen.symbolic.lifting.equations import Lifted, box_minus, turned_by
 from fkgen.symbolic.linalg import (
     column,
     congruence,
+    diagonal,
     is_zero,
     order,
     outer_lower,
@@ -30,6 +32,11 @@ from fkgen.symbolic.plant import DENSE_STATES, Plant
 
 #: Shares of a column that agree to so many decimals are the same.
 DIGITS = 13
+
+#: How many times as large as the variances that it is added to the spread of means may be. A
+#: product of one vector with itself is rounded in every direction, and what is left of that is to
+#: be small beside those variances.
+WIDEST = {"double": 1e9, "float": 1e3}
 
 #: Mean and packed covariance.
 Gaussian = tuple[ca.SX, ca.SX]
@@ -88,28 +95,75 @@ class Chart:
         return state, self.builder.define(f"turned{of}", packed)
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What spreads of means are measured by: reciprocals of `WIDEST` times variances, (n,).
+
+    Means that are further apart are those of a sample that no mode expects. What is left of their
+    spread is still more than any other.
+    """
+
+    reciprocals: ca.SX
+    scalar: str
+
+    @classmethod
+    def of(cls, builder: PhaseBuilder, name: str, parts: Sequence[Gaussian], scalar: str) -> Limits:
+        """Those of the variances of all parts together; none where nothing varies."""
+        variances = [ca.vertcat(*diagonal(packed)) for _, packed in parts]
+        whole = WIDEST[scalar] * total(variances)
+        nothing = whole <= 0
+        return cls(builder.define(f"{name}_limits", (1 - nothing) / (whole + nothing)), scalar)
+
+    def largest(self, apart: ca.SX) -> ca.SX:
+        """The largest factor of the square of a difference of means."""
+        return 1 / (ca.dot(self.reciprocals, apart * apart) + TINY[self.scalar])
+
+    def bounded(self, weights: ca.SX, apart: Sequence[ca.SX]) -> ca.SX:
+        """Weights of such squares, or less, (N, 1)."""
+        return column([ca.fmin(weights[i], self.largest(each)) for i, each in enumerate(apart)])
+
+
 def mixture(
-    chart: Chart, weights: ca.SX, parts: Sequence[Gaussian], tag: str = "", *, named: bool = True
+    chart: Chart,
+    weights: ca.SX,
+    parts: Sequence[Gaussian],
+    tag: str = "",
+    *,
+    named: bool = True,
+    lasting: bool = False,
 ) -> Gaussian:
-    """Mean and packed covariance of a mixture of Gaussians; the mean is computed once."""
-    own = chart.inward(parts)
+    """Mean and packed covariance of a mixture of Gaussians; the mean is computed once.
+
+    What is ``lasting`` is carried to the next sample.
+    """
+    own, spread = chart.inward(parts), weights
     mean = weighted_sum(weights, [each for each, _ in own])
     if named:
         mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
-    if order(own[0][1]) < DENSE_STATES or not named:
-        return chart.outward((mean, mixture_covariance(weights, own, mean)), tag)
     apart = [each - mean for each, _ in own]
-    within = weights, [each for _, each in own]
     name = f"{chart.name}_covariance{tag}"
+    if lasting and len(own) > 1:
+        limits = Limits.of(chart.builder, f"{chart.name}{tag}", own, chart.plant.scalar)
+        spread = chart.builder.define(f"{name}_outer", limits.bounded(weights, apart))
+    if order(own[0][1]) < DENSE_STATES or not named:
+        covariance = mixture_covariance(weights, own, mean, spread)
+        return chart.outward((mean, covariance), tag)
+    within = weights, [each for _, each in own]
     return chart.outward(
-        (mean, _merged_in_loops(chart.builder, name, within, (weights, apart))), tag
+        (mean, _merged_in_loops(chart.builder, name, within, (spread, apart))), tag
     )
 
 
-def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -> ca.SX:
-    """Packed covariance of a mixture of Gaussians with this ``mean``."""
+def mixture_covariance(
+    weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX, outer: ca.SX | None = None
+) -> ca.SX:
+    """Packed covariance of a mixture of Gaussians with this ``mean``.
+
+    ``outer`` are weights of the spread of means that differ from those of the covariances.
+    """
     means, covariances = zip(*parts, strict=True)
-    return weighted_sum(weights, covariances) + spread(weights, means, mean)
+    outer = weights if outer is None else outer
+    return weighted_sum(weights, covariances) + spread(outer, means, mean)
 
 
 def combined_innovation(
@@ -118,6 +172,8 @@ def combined_innovation(
     predicted: list[ca.SX],
     found: Sequence[Conditioned],
     angles: tuple[tuple[int, ...], ca.SX],
+    *,
+    scalar: str,
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.
 
@@ -137,8 +193,10 @@ def combined_innovation(
         with builder.if_present(row):
             builder.assign({f"combined_angle_{row}": reduced(y[row] - mean[row])})
     nu = builder.define("combined_innovation", nu)
-    whitened = None if len(found) == 1 else whiten(builder, S, nu, "_combined")
-    nis = found[0].nis if whitened is None else whitened.quadratic(ca.SX(1))
+    if len(found) == 1:
+        return {"innovation": nu, "innovation_covariance": S, "nis": found[0].nis}
+    least = 4.0 * nu.numel() * DUST[scalar]  # S is positive definite as every part of it is
+    nis = whiten(builder, S, nu, "_combined", least=least).quadratic(ca.SX(1))
     return {"innovation": nu, "innovation_covariance": S, "nis": nis}
 
 
@@ -197,14 +255,22 @@ class Mixer:
     the means: positive semidefinite term by term, and blind to means of weight zero. Where columns
     of a kernel agree on a pair but for a factor, as those of two independent chains do, the pair is
     merged once for all of them. `TINY` is added to the weight of a pair before dividing by it; it
-    is nothing beside a weight that counts.
+    is nothing beside a weight that counts. What is ``lasting`` is carried to the next sample.
     """
 
     def __init__(
-        self, builder: PhaseBuilder, name: str, parts: list[Gaussian], scalar: str
+        self,
+        builder: PhaseBuilder,
+        name: str,
+        parts: list[Gaussian],
+        scalar: str,
+        *,
+        lasting: bool = True,
     ) -> None:
-        self.builder, self.name, self.parts, self.tiny = builder, name, parts, TINY[scalar]
-        self._products: dict[range, ca.SX] = {}
+        self.builder, self.name, self.parts = builder, name, parts
+        self.tiny = TINY[scalar]
+        self.limits = Limits.of(builder, name, parts, scalar) if lasting else None
+        self._products: dict[range, tuple[ca.SX | None, ca.SX]] = {}
         self._known: dict[tuple[object, ...], Gaussian] = {}
 
     def under(
@@ -236,14 +302,18 @@ class Mixer:
         share = self._share([total(weights[i] for i in half) for half in halves], label, which)
         (x, P), (z, Q) = (self._merge(half, weights, tag, column) for half in halves)
         mean = self.builder.define(f"{label}_mean", share[0] * x + share[1] * z)
-        name = f"{label}_covariance"
+        name, factor = f"{label}_covariance", share[0] * share[1]
         if order(P) >= DENSE_STATES:
-            apart = [x - z]
-            both = share[0] * share[1]
-            covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (both, apart))
+            if self.limits is not None:
+                bounded = ca.fmin(factor, self.limits.largest(x - z))
+                factor = self.builder.define(f"{label}_factor", bounded)
+            covariance = _merged_in_loops(self.builder, name, (share, (P, Q)), (factor, [x - z]))
         else:
-            spread = self._spread(which, x, z, label)(share[0] * share[1])
-            covariance = self.builder.define(name, share[0] * P + share[1] * Q + spread)
+            largest, product = self._spread(which, x, z, label)
+            if largest is not None:
+                factor = self.builder.define(f"{label}_factor", ca.fmin(factor, largest))
+            outer = product(factor)
+            covariance = self.builder.define(name, share[0] * P + share[1] * Q + outer)
         self._known[key] = mean, covariance
         return self._known[key]
 
@@ -256,17 +326,25 @@ class Mixer:
             masses = [mass * inverse for mass in masses]
         return self.builder.define(f"{label}_share", column(masses))
 
-    def _spread(self, which: range, x: ca.SX, z: ca.SX, label: str) -> Callable[[ca.SX], ca.SX]:
-        """Product of the difference of two means with itself, times a factor; shared for leaves."""
-        if len(which) > 2:
-            difference = self.builder.define(f"{label}_apart", x - z)
-            return lambda factor: outer_lower(factor * difference, difference)
-        if which not in self._products:
-            name = f"{self.name}_apart_{which[0]}_{which[-1]}"
-            difference = self.builder.define(name, x - z)
-            product = self.builder.define(f"{name}_squared", outer_lower(difference, difference))
-            self._products[which] = product
-        return lambda factor: factor * self._products[which]
+    def _spread(
+        self, which: range, x: ca.SX, z: ca.SX, label: str
+    ) -> tuple[ca.SX | None, Callable[[ca.SX], ca.SX]]:
+        """Product of the difference of two means with itself, times a factor; shared for leaves.
+
+        Before it the largest such factor.
+        """
+        builder, limits, pair = self.builder, self.limits, len(which) == 2
+        if which in self._products:
+            largest, product = self._products[which]
+            return largest, lambda factor: factor * product
+        name = f"{self.name}_apart_{which[0]}_{which[-1]}" if pair else f"{label}_apart"
+        apart = builder.define(name, x - z)
+        largest = None if limits is None else builder.define(f"{name}_most", limits.largest(apart))
+        if not pair:
+            return largest, lambda factor: outer_lower(factor * apart, apart)
+        product = builder.define(f"{name}_squared", outer_lower(apart, apart))
+        self._products[which] = largest, product
+        return largest, lambda factor: factor * product
 
 
 def _shape(column: tuple[float, ...], which: range) -> tuple[float, ...]:

@@ -33,13 +33,24 @@ from fkgen.estimators.gaussian.estimate import (
     finite,
     off_by,
     propagate,
+    propagate_factors,
     update_form,
 )
 from fkgen.estimators.gaussian.rows import Form
-from fkgen.estimators.gaussian.sequential import Conditioned
+from fkgen.estimators.gaussian.sequential import Conditioned, Prior
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    Wide,
+    begun,
+    factors_note,
+    merged,
+    order_of,
+    packed_factors,
+)
 from fkgen.estimators.models.merge import (
     Chart,
     Gaussian,
+    Limits,
     Mixer,
     combined_innovation,
     mixture,
@@ -63,11 +74,12 @@ from fkgen.problem import Spec
 from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
-from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interface import Port, triangle
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
 from fkgen.symbolic.linalg import (
     column,
     congruence,
+    is_zero,
     pack,
     split_estimates,
     split_packed,
@@ -77,8 +89,10 @@ from fkgen.symbolic.linalg import (
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
+    factor_ports,
     innovation_ports,
     mode_estimate_ports,
+    mode_factor_ports,
     prior_symbols,
     state_ports,
     symbols_of,
@@ -163,6 +177,12 @@ class Modes:
         return advance(builder, self.kernel, now, scalar, mixing=mixing)
 
     @property
+    def forgets(self) -> bool:
+        """Whether some mode comes after every mode alike: it goes on from what all say together."""
+        rows = zip(*self.kernel, strict=True)
+        return self.chain.independent or any(len(set(entries)) == 1 for entries in rows)
+
+    @property
     def note(self) -> str:
         """What the modes are, in their order."""
         names = [" or ".join(each.title for each in mode) for mode in self.variants]
@@ -219,12 +239,24 @@ class Switching:
     ports: tuple[Port, ...]
     symbols: dict[str, ca.SX]
     form: Form
+    order: tuple[int, ...]  # of rows of factors, if there are any
     merges_errors: bool = False  # Corrections stay errors about one prediction
 
     @classmethod
-    def of(cls, spec: Spec, own: tuple[Port, ...], *, merges_errors: bool = False) -> Switching:
-        """Lay out the ports of a filter; ``own`` are those of its family."""
+    def of(
+        cls,
+        spec: Spec,
+        own: tuple[Port, ...],
+        factors: tuple[Port, ...],
+        *,
+        merges_errors: bool = False,
+    ) -> Switching:
+        """Lay out the ports of a filter: ``own``, and ``factors`` of covariances if it has them."""
         plants = mode_plants(spec, spec.faults.chain(spec.model).modes)
+        many = max(port.size for port in factors) // len(triangle(plants[0].ne))
+        factored = not plants[0].attitudes
+        form = update_form(spec, plants[0], augmented=False, factored=factored, many=many)
+        own += factors if form == "ud" else ()
         modes = Modes.of(spec, plants)
         law, shape = modes.initial, (len(modes.initial),)
         probability = "probability of each mode at {k} given y[0..k]"
@@ -243,7 +275,8 @@ class Switching:
             modes=modes,
             ports=ports,
             symbols=symbols_of(spec, plants[0], ports),
-            form=update_form(spec, plants[0], augmented=False),
+            form=form,
+            order=order_of(plants) if form == "ud" else (),
             merges_errors=merges_errors and bool(plants[0].attitudes),
         )
 
@@ -259,6 +292,14 @@ class Switching:
             priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
             states, covariances = (ca.vertcat(*each) for each in zip(*priors, strict=True))
             values |= {"mode_state": states, "mode_covariance": covariances}
+        for port in self.ports if self.order else ():
+            if port.name.endswith("factors"):
+                own = [None] * (port.size // given["P"].numel())
+                modes = faults.modes if faults is not None and len(own) > 1 else None
+                kept = own if modes is None else [mode.kept for mode in modes]
+                how = self.order, scalar
+                each = {rows: begun(builder, given["P"], how, rows) for rows in dict.fromkeys(kept)}
+                values[port.name] = ca.vertcat(*(each[rows] for rows in kept))
         if chain.first is not None:
             law = first_law(builder, self.spec, chain, self.plants[0].parameters)
             logs = column([logarithm_of(each, scalar) for each in ca.vertsplit(law)])
@@ -293,16 +334,22 @@ class Switching:
         """The modes for one phase: computed entries of these matrices are named."""
         return Modes.of(self.spec, bound_all(builder, self.plants, letters))
 
+    def factors(self, name: str) -> list[Factors]:
+        """The factors that a port holds."""
+        count = len(triangle(self.spec.model.ne))
+        each = ca.vertsplit(self.symbols[name], count)
+        return [Factors.of(packed, self.order, self.spec.code.scalar) for packed in each]
+
     def filtered(self) -> list[Gaussian]:
         """What imm keeps of every mode after y[k]."""
         states, packed = (self.symbols[f"mode_filtered_{of}"] for of in ("state", "covariance"))
         return split_estimates(states, packed, self.spec.model.nx)
 
-    def update(self, priors: Sequence[Gaussian], combined: Combination) -> Phase:
+    def update(self, priors: Sequence[Prior], combined: Combination) -> Phase:
         """A correction of its prior under each mode, then Bayes' rule (8)."""
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
-        for packed in {id(packed): packed for _, packed in priors}.values():
-            demand_positive(builder, packed)
+        for covariance in {id(each): each for _, each in priors}.values():
+            demand_positive(builder, covariance)
         modes = self.seen_from(builder, self.bound(builder, "CDRd"), priors)
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         with builder.titled("probabilities of the modes"):
@@ -314,7 +361,9 @@ class Switching:
                 y = expected(variants[0].plant, prior[0], symbols["u"])
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             angles = self.plants[0].wraps, symbols["y"]
-            results = combined_innovation(builder, held[0], predicted, each, angles)
+            results = combined_innovation(
+                builder, held[0], predicted, each, angles, scalar=self.spec.code.scalar
+            )
         with builder.titled("combination"):
             if modes.chain.independent:
                 said = symbols["predicted_mode_evidence"] + column(logs)
@@ -322,7 +371,7 @@ class Switching:
             builder.assign(results | weights.ports() | combined(builder, weights.probability, each))
         return builder.phase()
 
-    def seen_from(self, builder: PhaseBuilder, modes: Modes, priors: Sequence[Gaussian]) -> Modes:
+    def seen_from(self, builder: PhaseBuilder, modes: Modes, priors: Sequence[Prior]) -> Modes:
         """The modes, with functions h linearised where each mode is."""
         flat = [
             (variant.plant, prior[0])
@@ -353,7 +402,7 @@ class Switching:
         return {"predicted_mode_evidence": ca.SX.zeros(len(self.modes.initial))}
 
     def corrected(
-        self, builder: PhaseBuilder, modes: Modes, mode: int, prior: Gaussian
+        self, builder: PhaseBuilder, modes: Modes, mode: int, prior: Prior
     ) -> Conditioned:
         """What a mode makes of y[k]: the mixture of its variants."""
         variants, u, y = modes.variants[mode], self.symbols["u"], self.symbols["y"]
@@ -387,10 +436,31 @@ class Switching:
             return whole
         weights = builder.define(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
         parts = [(one.mean, one.covariance) for one in each]
+        if self.order:
+            state, held = self.merged(builder, ca.vertsplit(weights), each, f"_m{mode}")
+            return replace(whole, mean=state, covariance=held.covariance(), factors=held)
         chart = Chart(builder, self.plants[0], "merged", each[0].mean)
-        state, covariance = mixture(chart, weights, parts, f"_m{mode}")
+        state, covariance = mixture(chart, weights, parts, f"_m{mode}", lasting=True)
         covariance = builder.define(f"merged_covariance_m{mode}", covariance)
         return replace(whole, mean=state, covariance=covariance)
+
+    def merged(
+        self,
+        builder: PhaseBuilder,
+        weights: Sequence[ca.SX],
+        each: Sequence[Conditioned],
+        tag: str = "",
+        *,
+        spread: bool = True,
+    ) -> tuple[ca.SX, Factors]:
+        """Corrections as one estimate, its covariance in factors."""
+        parts = [(one.mean, one.factors) for one in each if one.factors is not None]
+        chart = Chart(builder, self.plants[0], "merged", parts[0][0])
+        flat = chart.inward([(mean, ca.SX()) for mean, _ in parts])
+        own = [(mean, held) for (mean, _), (_, held) in zip(flat, parts, strict=True)]
+        mean, wide = merged(weights, own, spread=spread)
+        state, _ = chart.outward((mean, ca.SX()), tag)
+        return state, wide.narrow().named(builder, f"merged_factors{tag}")
 
 
 # ------------------------------------------------------------------------------------- one_step
@@ -400,8 +470,28 @@ def one_step_optimal(spec: Spec) -> Recursion:
     """Build ``one_step``: corrections of one prior, Bayes' rule, one Gaussian."""
     option = spec.filter.options.covariance
     beside = RICCATIS[option]
-    filtering = Switching.of(spec, _riccati_ports(spec, beside), merges_errors=True)
+    ports, factors = _riccati_ports(spec, beside)
+    filtering = Switching.of(spec, ports, factors, merges_errors=True)
     symbols, plant = filtering.symbols, filtering.plants[0]
+
+    def factored(
+        builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
+    ) -> dict[str, ca.SX]:
+        shares = ca.vertsplit(weights)
+        matched = option == "moment_matched"
+        state, held = filtering.merged(builder, shares, each, spread=matched)
+        state = builder.define("combined_state", state)
+        demand_finite(builder, state)
+        results = {
+            "filtered_state": state,
+            "filtered_covariance": held.covariance(),
+            "filtered_factors": held.packed,
+        }
+        if beside:
+            alone = [one.factors for one in each[:beside] if one.factors is not None]
+            results["riccati_filtered_covariance"] = ca.vertcat(*(a.covariance() for a in alone))
+            results["riccati_filtered_factors"] = packed_factors(alone)
+        return results
 
     def combined(
         builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
@@ -412,7 +502,10 @@ def one_step_optimal(spec: Spec) -> Recursion:
         demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
-            covariance = mixture_covariance(weights, parts, state)
+            limits = Limits.of(builder, "combined", parts, spec.code.scalar)
+            outer = limits.bounded(weights, [mean - state for mean, _ in parts])
+            outer = builder.define("combined_outer", outer)
+            covariance = mixture_covariance(weights, parts, state, outer)
         alone = covariances[:beside]
         if plant.attitudes:
             errors, n = state, plant.ne
@@ -424,15 +517,21 @@ def one_step_optimal(spec: Spec) -> Recursion:
             results["riccati_filtered_covariance"] = ca.vertcat(*alone)
         return results
 
-    packed = symbols["riccati_covariance" if beside else "predicted_covariance"]
-    known = split_packed(packed, spec.model.ne)
+    name = "riccati_{}" if beside else "predicted_{}"
+    known: Sequence[ca.SX | Factors] = split_packed(
+        symbols[name.format("covariance")], spec.model.ne
+    )
+    if filtering.order:
+        known = filtering.factors(name.format("factors"))
     priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
-    phases = filtering.update(priors, combined), _one_prediction(filtering, beside)
-    notes = f"covariance: {option}", filtering.modes.note
+    update = filtering.update(priors, factored if filtering.order else combined)
+    phases = update, _one_prediction(filtering, beside)
+    notes = f"covariance: {option}", filtering.modes.note, *factors_note(filtering.order, spec)
     return filtering.recursion("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
 
 
-def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
+def _riccati_ports(spec: Spec, count: int) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Covariances beside that of x, and factors of all of them."""
     n = spec.model.ne
     shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
@@ -441,7 +540,13 @@ def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
         covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
         covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
     )
-    return ports if count else ()
+    factors = factor_ports(n)
+    if not count:
+        return (), factors
+    size = (count, len(triangle(n))) if count > 1 else (len(triangle(n)),)
+    names = "riccati_factors", "riccati_filtered_factors"
+    beside = (carried(f, size, f"factors of {p.name}") for f, p in zip(names, ports, strict=True))
+    return ports, (*factors, *beside)
 
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
@@ -455,12 +560,16 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
         packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.ne)
     inputs, mean = certain(symbols["u"]), symbols["filtered_state"]
     (plant,) = moved_from(builder, [plant], [mean], symbols["u"])
-    moved = [
-        propagate(builder, plant, inputs, Posterior(mean, each), f"_{at}")[:2]
-        for at, each in enumerate(packed)
-    ]
+    results: dict[str, ca.SX] = {}
+    if filtering.order:
+        moved, results = _moved_factors(builder, filtering, plant, beside)
+    else:
+        moved = [
+            propagate(builder, plant, inputs, Posterior(mean, each), f"_{at}")[:2]
+            for at, each in enumerate(packed)
+        ]
     state = moved[0][0]
-    results = {
+    results |= {
         "predicted_mode_probability": law.probability,
         "predicted_log_weight": law.logarithm,
         "predicted_state": state,
@@ -474,23 +583,47 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
     return builder.phase()
 
 
+def _moved_factors(
+    builder: PhaseBuilder, filtering: Switching, plant: Plant, beside: int
+) -> tuple[list[Gaussian], dict[str, ca.SX]]:
+    """Predictions of one mean with the covariances there are, and the ports of their factors."""
+    symbols, moved, ports = filtering.symbols, list[Gaussian](), dict[str, ca.SX]()
+    estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
+    names = {"filtered_factors": "predicted_factors"}
+    names |= {"riccati_filtered_factors": "riccati_factors"} if beside else {}
+    for name, later in names.items():
+        found = []
+        for at, held in enumerate(filtering.factors(name)):
+            state, next_, _ = propagate_factors(plant, certain(symbols["u"]), estimate, held)
+            found.append(next_.named(builder, f"next_{later}_{at}"))
+            moved.append((state, found[-1].covariance()))
+        ports[later] = packed_factors(found)
+    return moved, ports
+
+
 # ------------------------------------------------------------------------------------------ imm
 
 
 def interacting_models(spec: Spec) -> Recursion:
     """Build ``imm``: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
     means = "x(k+1|k), mixed, under each mode", "x(k|k) under each mode"
-    filtering = Switching.of(spec, mode_estimate_ports(spec, spec.filter.options.modes, means))
+    count = spec.filter.options.modes
+    factors = mode_factor_ports(spec.model.ne, [0] * count)
+    filtering = Switching.of(spec, mode_estimate_ports(spec, count, means), factors)
+    order = filtering.order
 
     def combined(
         builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
     ) -> dict[str, ca.SX]:
         parts = [(one.mean, one.covariance) for one in each]
         chart = Chart(builder, filtering.plants[0], "combination", parts[0][0])
-        mixer = Mixer(builder, "combined", chart.inward(parts), spec.code.scalar)
+        flat = chart.inward(parts)
+        lasting = filtering.modes.forgets and not order
+        mixer = Mixer(builder, "combined", flat, spec.code.scalar, lasting=lasting)
         state, covariance = chart.outward(mixer.under(weights))
         demand_finite(builder, state)
-        return {
+        held = packed_factors(one.factors for one in each)
+        return ({"mode_filtered_factors": held} if order else {}) | {
             "filtered_state": state,
             "filtered_covariance": covariance,
             "mode_filtered_state": ca.vertcat(*(mean for mean, _ in parts)),
@@ -498,12 +631,17 @@ def interacting_models(spec: Spec) -> Recursion:
         }
 
     symbols = filtering.symbols
-    priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
-    if spec.faults.jump is not None:
-        pairs = zip(priors, spec.faults.jump.modes, strict=True)
+    own = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
+    priors: list[Prior] = [*own]
+    if order:
+        means_ = [mean for mean, _ in own]
+        priors = [*zip(means_, filtering.factors("mode_factors"), strict=True)]
+    elif spec.faults.jump is not None:
+        pairs = zip(own, spec.faults.jump.modes, strict=True)
         priors = [_of_states(prior, mode.kept) for prior, mode in pairs]
     phases = filtering.update(priors, combined), _predictions(filtering)
     source, notes = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)", [filtering.modes.note]
+    notes += factors_note(order, spec)
     if spec.faults.jump is not None:
         source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
         notes.append(JUMPING)
@@ -529,13 +667,19 @@ def _predictions(filtering: Switching) -> Phase:
     with builder.titled("law of the next mode, and mixing weights"):
         now = (symbols["mode_probability"], symbols["log_weight"])
         law = modes.advanced(builder, now, spec.code.scalar, mixing=True)
+    factors: list[Factors] = []
     with builder.titled("mixing and prediction of every mode"):
-        moved, which = _moved(builder, filtering, modes, law)
+        if filtering.order:
+            moved, which, factors = _moved_in_factors(builder, filtering, modes, law)
+        else:
+            moved, which = _moved(builder, filtering, modes, law)
     with builder.titled("combined prediction"):
         motions = modes.motions
         combined = _combined(builder, filtering, motions, (moved, which), law.probability)
+        held = packed_factors(factors[at] for at in which) if factors else ca.SX(0, 1)
         builder.assign(
-            {
+            ({"mode_factors": held} if factors else {})
+            | {
                 "predicted_mode_probability": law.probability,
                 "predicted_log_weight": law.logarithm,
                 "mode_state": ca.vertcat(*(moved[at][0] for at in which)),
@@ -581,6 +725,40 @@ def _moved(
     return moved, which
 
 
+def _moved_in_factors(
+    builder: PhaseBuilder, filtering: Switching, modes: Modes, law: Prediction
+) -> tuple[list[Gaussian], list[int], list[Factors]]:
+    """The same in factors: mixing and prediction are one orthogonalisation for each mode."""
+    symbols, motions, u = filtering.symbols, modes.motions, filtering.symbols["u"]
+    filtered, factors = filtering.filtered(), filtering.factors("mode_filtered_factors")
+    chart = Chart(builder, motions[0], "mixing", filtered[0][0])
+    parts = [(mean, each) for (mean, _), each in zip(chart.inward(filtered), factors, strict=True)]
+    mixed: dict[int, tuple[ca.SX, Wide]] = {}
+    known: dict[tuple[int, int], int] = {}
+    moved, held, which = list[Gaussian](), list[Factors](), list[int]()
+    for j in modes.predicted_as:
+        group, plant = law.group[j], motions[j]
+        if group not in mixed:
+            weights = law.mixing[group]
+            alive = [i for i in range(len(parts)) if not is_zero(weights[i])] or [0]
+            shares = [weights[i] for i in alive] if len(alive) > 1 else [ca.SX(1)]
+            mean, wide = merged(shares, [parts[i] for i in alive])
+            mean = builder.define(f"mixed_{group}_mean", mean)
+            mixed[group] = chart.outward((mean, ca.SX()), f"_{group}")[0], wide
+        at = known.setdefault((group, id(plant)), len(moved))
+        if at == len(moved):
+            state, wide = mixed[group]
+            (plant,) = moved_from(builder, [plant], [state], u, f"_{at}")
+            estimate = Posterior(state, symbols["filtered_covariance"])
+            state, next_, _ = propagate_factors(plant, certain(u), estimate, wide)
+            held.append(next_.named(builder, f"next_factors_{at}"))
+            state = builder.define(f"moved_state_{at}", state)
+            covariance = builder.define(f"moved_covariance_{at}", held[-1].covariance())
+            moved.append((state, covariance))
+        which.append(at)
+    return moved, which, held
+
+
 def _combined(
     builder: PhaseBuilder,
     filtering: Switching,
@@ -590,7 +768,7 @@ def _combined(
 ) -> Gaussian:
     """x(k+1|k) whatever the mode; where modes differ in nothing but Q, from x(k|k)."""
     symbols = filtering.symbols
-    if motions[0].lifted is None and move_alike(motions):
+    if motions[0].lifted is None and move_alike(motions) and not filtering.order:
         plant = replace(motions[0], Q=mean_noise(motions, probability))
         estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
         return propagate(builder, plant, certain(symbols["u"]), estimate, "_combined")[:2]
@@ -598,5 +776,6 @@ def _combined(
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]
     chart = Chart(builder, motions[0], "prediction", moved[0][0][0])
-    mixer = Mixer(builder, "predicted", chart.inward(moved[0]), filtering.spec.code.scalar)
+    parts = chart.inward(moved[0])
+    mixer = Mixer(builder, "predicted", parts, filtering.spec.code.scalar, lasting=False)
     return chart.outward(mixer.under(column(masses)))

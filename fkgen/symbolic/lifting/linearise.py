@@ -45,10 +45,10 @@ def moved_from(
         if own is None or plant.lifted is None:
             moved.append(plant)
             continue
-        spread = None
+        G = spread = None
         if own[3].nnz():
-            spread = congruence(own[3], ca.diag(plant.lifted.variances))
-        moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread))
+            G, spread = own[3], congruence(own[3], ca.diag(plant.lifted.variances))
+        moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread, G=G))
     return tuple(moved)
 
 
