@@ -11,7 +11,7 @@ from toolchain import needs_compiler
 
 import fkgen
 from fkgen.cli import main
-from fkgen.runtime import smoothing
+from fkgen.estimators.hindsight import backwards
 
 pytestmark = needs_compiler()
 
@@ -202,7 +202,7 @@ def test_refused_samples_are_missing_and_held_ones_are_not_there(correlated, rec
 def test_pieces_of_a_record_give_what_the_whole_does(correlated, record, monkeypatch):
     y, u, params = record
     whole = correlated.smooth(y, u, {"dt": params["dt"]})
-    monkeypatch.setattr(smoothing, "PIECE", 7)
+    monkeypatch.setattr(backwards, "PIECE", 7)
     pieces = correlated.smooth(y, u, {"dt": params["dt"]})
     close((pieces.state, pieces.covariance), (whole.state, whole.covariance))
 

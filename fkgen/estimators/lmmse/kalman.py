@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.estimators.gaussian.actuation import actuation_of, rates_of
+from fkgen.estimators.gaussian.actuation import Actuation, actuation_of, rates_of
 from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
@@ -169,19 +169,27 @@ def _sensed(spec: Spec, plant: Plant) -> Plant:
     return replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
 
 
-def _update(
-    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
-) -> Phase:
-    builder = PhaseBuilder(symbols)
+def _measured(
+    builder: PhaseBuilder, spec: Spec, plant: Plant, symbols: dict[str, ca.SX]
+) -> tuple[Plant, Actuation]:
+    """The plant as y[k] sees it, named, and what reaches it."""
     demand_positive(builder, symbols["predicted_covariance"])
     _demand_rates(builder, spec, plant)
-    delays, replay = _delays(spec, plant), replay_of(spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
     plant = _sensed(spec, plant)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     actuation = actuation_of(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
+    return plant, actuation
+
+
+def _update(
+    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
+) -> Phase:
+    builder = PhaseBuilder(symbols)
+    delays, replay, lagged = _delays(spec, plant), replay_of(spec, plant), _lagged(spec, plant)
+    plant, actuation = _measured(builder, spec, plant, symbols)
     prior, passage = delays.joint(symbols, PREDICTED), None
     if replay is None:
         plant, kept = delays.measured(builder, plant, symbols)
@@ -212,10 +220,7 @@ def _update(
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
-    beside = plant.D @ actuation.through @ actuation.covariance
-    if plant.S.nnz():
-        beside = plant.S[moved_by_noise(plant), :].T
-    _lagged(spec, plant).corrected(builder, plant, found, symbols["predicted_covariance"], beside)
+    lagged.corrected(builder, (plant, actuation), found, symbols["predicted_covariance"])
     if passage is not None:
         assign |= passage.results(found, symbols)
         kept = tuple(passage.counted(row) for row in range(plant.ny))
