@@ -168,6 +168,9 @@ class CompiledFilter:
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         rejected = tuple(port.name for port in self.layout.ports if port.flags)
+        _refuse_late(
+            spec, dict(zip((name for name, _ in self.layout.parameters), given, strict=True))
+        )
         found = self._room((len(measured),), (*SMOOTHED_FROM, *rejected))
         begun = self._starts(start, given)
         prior = Snapshot(self.layout, bytes(begun[0]), 0)
@@ -525,3 +528,13 @@ class CompiledFilter:
     def _in_range(self, value: float) -> bool:
         """Whether it is a finite number of the filter's scalar."""
         return -self._largest <= value <= self._largest
+
+
+def _refuse_late(spec: Spec, parameters: Mapping[str, Array]) -> None:
+    """Refuse to smooth rows where they come and not where they were measured."""
+    for signal in spec.model.outputs:
+        if signal.max_delay and (parameters[signal.delay] > 0.0).any():
+            expected = "0: with the whole record at hand, put rows where they were measured"
+            raise DataError(
+                f"params.{signal.delay}", given="rows that come late", expected=expected
+            )

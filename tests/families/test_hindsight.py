@@ -290,6 +290,13 @@ def test_other_families_say_who_has_a_smoother():
         other.smooth(np.zeros((3, 2)), np.zeros((3, 1)))
 
 
+def test_late_rows_are_smoothed_where_they_were_measured_or_not_at_all(alone, record, delays):
+    y, u, params = record
+    with pytest.raises(fkgen.DataError, match="delay_gps: given rows that come late; expected 0"):
+        alone.smooth(y, u, {"dt": params["dt"], "delay_gps": delays[:, 0] * 1.0})
+    close((alone.smooth(y, u).state[-1:],), (alone.run(y, u).filtered_state[-1:],))
+
+
 def test_the_command_writes_states_and_deviations(tmp_path):
     (tmp_path / "walk.toml").write_text(
         'name = "hind_walk"\n[model]\nA = [[1.0]]\nC = [[1.0]]\nQ = [[1.0]]\nR = [[2.0]]\n'
