@@ -305,7 +305,9 @@ def test_the_command_writes_states_and_deviations(tmp_path):
     )
     (tmp_path / "walk.csv").write_text("t,flow\n0,1\n1,\n2,3\n3,inf\n")
     files = [str(tmp_path / name) for name in ("walk.toml", "walk.csv")]
-    done = CliRunner().invoke(main, ["smooth", *files])
+    picture = tmp_path / "walk.svg"
+    done = CliRunner().invoke(main, ["smooth", *files, "--plot", str(picture)])
+    assert "smoothed" in picture.read_text()
     lines = done.stdout.splitlines()
     assert lines[0] == "t,smoothed_state.level,smoothed_sd.level,status"
     # x[0], x[1], x[2] given 1 and 3: Cov(x[i], x[j]) = 4 + min(i, j)

@@ -67,6 +67,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
             *_delays(spec, plant).notes,
             *(() if replay is None else replay.notes),
             *_lagged(spec, plant).notes,
+            *_marks(spec, plant),
         ),
         repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),
     )
@@ -135,6 +136,14 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
     for value, other, room in ((gamma, ca.SX(0), ca.SX(0)), (delta, factor, slack)):
         zero = (value - 1) * (value - other)
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
+
+
+def _marks(spec: Spec, plant: Plant) -> tuple[str, ...]:
+    """What the header says about estimates of past samples of a plant that is not linear."""
+    past = [name for name, has in (("late rows", _delays(spec, plant).rows),) if has]
+    past += ["lagged estimates"] if _lagged(spec, plant).lag else []
+    curved = plant.lifted is not None
+    return tuple(f"{each} are approximate: f and h are linearised" for each in past if curved)
 
 
 def _delays(spec: Spec, plant: Plant) -> Delays:
