@@ -281,6 +281,7 @@ def run(spec: Spec, record: Reading, **options: Any) -> None:
 @_SPEC
 @click.argument("record", type=Path)
 @_CSV
+@_PLOT
 @_FORCE
 @_reading
 def smooth(spec: Spec, record: Reading, **options: Any) -> None:

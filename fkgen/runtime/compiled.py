@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused, of_type
+from fkgen.problem import Spec
 from fkgen.runtime import cache, record
 from fkgen.runtime.batch import Batch, Lanes, of_records
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
-from fkgen.runtime.results import Run, Snapshot
+from fkgen.runtime.results import SMOOTHED_FROM, Run, Smoothed, Snapshot
 from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
-
-if TYPE_CHECKING:
-    from fkgen.runtime.smoothing import Smoothed
 
 Array = NDArray[np.floating]
 
@@ -164,18 +163,32 @@ class CompiledFilter:
         DataError
             If shapes, types or names do not fit, or the family has no smoother.
         """
-        from fkgen.runtime import smoothing  # noqa: PLC0415 - few filters are smoothed
-
-        spec = smoothing.smoothable(self.folder / cache.SPEC)
+        spec = self._smoothable()
         measured = record.measurements(self.layout, y)
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         rejected = tuple(port.name for port in self.layout.ports if port.flags)
-        found = self._room((len(measured),), (*smoothing.PORTS, *rejected))
+        _refuse_late(
+            spec, dict(zip((name for name, _ in self.layout.parameters), given, strict=True))
+        )
+        found = self._room((len(measured),), (*SMOOTHED_FROM, *rejected))
         begun = self._starts(start, given)
         prior = Snapshot(self.layout, bytes(begun[0]), 0)
         self._filter(begun, (measured, driven), given, found)
-        return smoothing.smooth(spec, found, prior, driven, given)
+        return Smoothed.of(spec, found, prior, driven, given)
+
+    def _smoothable(self) -> Spec:
+        """The spec, if its family has a smoother."""
+        from fkgen.families import NAMES, family  # noqa: PLC0415 - few filters are smoothed
+
+        text = (self.folder / cache.SPEC).read_text(encoding="utf-8")
+        spec = Spec.from_dict(json.loads(text)["spec"])
+        if spec.filter.traits.hindsight:
+            return spec
+        able = ", ".join(name for name in NAMES if family(name).traits.hindsight)
+        gain = " with a stationary gain" * family(spec.filter.family).traits.hindsight
+        given = f"a filter of the family {spec.filter.family}{gain}"
+        raise DataError("smooth", given=given, expected=f"one of {able}, its gain not stationary")
 
     def pieces(self, keep: Sequence[str] | None = None) -> Pieces:
         """What filters a record piece by piece, as `run` the whole of it."""
@@ -515,3 +528,13 @@ class CompiledFilter:
     def _in_range(self, value: float) -> bool:
         """Whether it is a finite number of the filter's scalar."""
         return -self._largest <= value <= self._largest
+
+
+def _refuse_late(spec: Spec, parameters: Mapping[str, Array]) -> None:
+    """Refuse to smooth rows where they come and not where they were measured."""
+    for signal in spec.model.outputs:
+        if signal.max_delay and (parameters[signal.delay] > 0.0).any():
+            expected = "0: with the whole record at hand, put rows where they were measured"
+            raise DataError(
+                f"params.{signal.delay}", given="rows that come late", expected=expected
+            )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError, of_type
+from fkgen.problem import Spec
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
+from fkgen.symbolic.interface import UPDATED
 
 Array = NDArray[np.floating]
 
@@ -73,6 +76,78 @@ class Run:
         return f"<Run of {samples} samples, {refused} refused: {', '.join(self._values)}>"
 
 
+#: What a run has to keep to be smoothed.
+SMOOTHED_FROM = (
+    *("predicted_state", "predicted_covariance", "filtered_state", "filtered_covariance"),
+    "innovation",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Smoothed:
+    """Estimates of a whole record from all of it.
+
+    Attributes
+    ----------
+    state : (T, n) ndarray
+        x(k | T - 1). At a held sample no time passed: it repeats the sample before it.
+    covariance : (T, n, n) ndarray
+        Its error covariance; an attitude has 3 rows.
+    status : (T,) ndarray of int32
+        That of the filter: a refused sample counts as missing, but its state is estimated.
+    approximate : bool
+        The plant is linearised, so that these are no exact means and covariances.
+    """
+
+    state: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    status: NDArray[np.int32]
+    approximate: bool
+
+    @classmethod
+    def of(
+        cls, spec: Spec, run: Run, prior: Snapshot, u: Array, parameters: Sequence[Array]
+    ) -> Self:
+        """Smooth a run that kept `SMOOTHED_FROM`, from the instance that it began with."""
+        from fkgen.estimators.hindsight.backwards import Forwards  # noqa: PLC0415 - CasADi is slow
+
+        T, approximate = len(run.status), spec.filter.linearises
+        kept = np.flatnonzero(~run.held)
+        filtered = [np.array(run[f"filtered_{of}"], float) for of in ("state", "covariance")]
+        if not len(kept):
+            state, covariance = filtered
+            return cls(
+                state=state, covariance=covariance, status=run.status, approximate=approximate
+            )
+        innovation = np.asarray(run["innovation"][kept], float)
+        used = np.isfinite(innovation) & (run.status[kept] >= 0)[:, np.newaxis]
+        used &= ~run["rejected"][kept] if "rejected" in run.ports else True
+        given = [np.broadcast_to(each.astype(float), (T,)) for each in parameters]
+        first, second = (
+            np.concatenate([start[np.newaxis], run[f"predicted_{of}"][kept[:-1]]]).astype(float)
+            for of, start in zip(("state", "covariance"), prior.latest, strict=True)
+        )
+        state, covariance = Forwards(
+            predicted=(first, second),
+            filtered=(filtered[0][kept], filtered[1][kept]),
+            innovation=np.where(used, innovation, 0.0),
+            used=used,
+            u=np.asarray(u, float)[kept],
+            parameters=np.array(given).reshape(len(given), T).T[kept],
+        ).backwards(spec)
+        last = np.maximum(np.searchsorted(kept, np.arange(T), side="right") - 1, 0)
+        return cls(
+            state=state[last],
+            covariance=covariance[last],
+            status=run.status,
+            approximate=approximate,
+        )
+
+    def __repr__(self) -> str:
+        T, n = self.state.shape
+        return f"<Smoothed: {T} samples of {n} states{', approximate' * self.approximate}>"
+
+
 class Snapshot:
     """The instance after a sample, frozen: every port is an attribute; equal if all bits are."""
 
@@ -101,6 +176,13 @@ class Snapshot:
         if any(port.name == name for port in self.layout.ports):
             return self[name]
         raise AttributeError(f"no port {name!r}")
+
+    @property
+    def latest(self) -> tuple[Array, Array]:
+        """The latest estimate and its covariance: filtered after an update, else predicted."""
+        updated = getattr(self.layout.structure().from_buffer_copy(self.data), UPDATED)
+        of = "filtered_" if updated else "predicted_"
+        return self[f"{of}state"], self[f"{of}covariance"]
 
     @property
     def ports(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from fkgen.families import NAMES, family
 from fkgen.study.reports.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
-OTHERS = {name: resource(f"docs/{name}.md") for name in ("fault-effects", "equations")}
+OTHERS = {name: resource(f"docs/{name}.md") for name in ("fault-effects", "equations", "smooth")}
 EXTRA = {
     "linear_optimal": [
         {"form": "augmented"},

@@ -11,7 +11,7 @@ from toolchain import needs_compiler
 
 import fkgen
 from fkgen.cli import main
-from fkgen.runtime import smoothing
+from fkgen.estimators.hindsight import backwards
 
 pytestmark = needs_compiler()
 
@@ -202,7 +202,7 @@ def test_refused_samples_are_missing_and_held_ones_are_not_there(correlated, rec
 def test_pieces_of_a_record_give_what_the_whole_does(correlated, record, monkeypatch):
     y, u, params = record
     whole = correlated.smooth(y, u, {"dt": params["dt"]})
-    monkeypatch.setattr(smoothing, "PIECE", 7)
+    monkeypatch.setattr(backwards, "PIECE", 7)
     pieces = correlated.smooth(y, u, {"dt": params["dt"]})
     close((pieces.state, pieces.covariance), (whole.state, whole.covariance))
 
@@ -290,6 +290,13 @@ def test_other_families_say_who_has_a_smoother():
         other.smooth(np.zeros((3, 2)), np.zeros((3, 1)))
 
 
+def test_late_rows_are_smoothed_where_they_were_measured_or_not_at_all(alone, record, delays):
+    y, u, params = record
+    with pytest.raises(fkgen.DataError, match="delay_gps: given rows that come late; expected 0"):
+        alone.smooth(y, u, {"dt": params["dt"], "delay_gps": delays[:, 0] * 1.0})
+    close((alone.smooth(y, u).state[-1:],), (alone.run(y, u).filtered_state[-1:],))
+
+
 def test_the_command_writes_states_and_deviations(tmp_path):
     (tmp_path / "walk.toml").write_text(
         'name = "hind_walk"\n[model]\nA = [[1.0]]\nC = [[1.0]]\nQ = [[1.0]]\nR = [[2.0]]\n'
@@ -298,7 +305,9 @@ def test_the_command_writes_states_and_deviations(tmp_path):
     )
     (tmp_path / "walk.csv").write_text("t,flow\n0,1\n1,\n2,3\n3,inf\n")
     files = [str(tmp_path / name) for name in ("walk.toml", "walk.csv")]
-    done = CliRunner().invoke(main, ["smooth", *files])
+    picture = tmp_path / "walk.svg"
+    done = CliRunner().invoke(main, ["smooth", *files, "--plot", str(picture)])
+    assert "smoothed" in picture.read_text()
     lines = done.stdout.splitlines()
     assert lines[0] == "t,smoothed_state.level,smoothed_sd.level,status"
     # x[0], x[1], x[2] given 1 and 3: Cov(x[i], x[j]) = 4 + min(i, j)

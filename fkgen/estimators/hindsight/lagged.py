@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.decorrelation import whiten
-from fkgen.estimators.gaussian.estimate import Posterior
+from fkgen.estimators.gaussian.estimate import Posterior, moved_by_noise
 from fkgen.estimators.gaussian.gate import HALF
 from fkgen.estimators.gaussian.sequential import RANK_TOLERANCE, Conditioned
 from fkgen.problem import Spec
@@ -115,17 +116,17 @@ class Lagged:
     def corrected(
         self,
         builder: PhaseBuilder,
-        plant: Plant,
+        measured: tuple[Plant, Actuation],
         found: Conditioned,
         prior: ca.SX,
-        beside: ca.SX,
     ) -> None:
-        """Condition the last samples on y[k] as it conditioned x, whose packed covariance was P.
-
-        ``beside`` (p, r) is the covariance of y[k] with what it tells of beside x.
-        """
+        """Condition the last samples on y[k] as it conditioned x, whose packed covariance was P."""
         if not self.lag:
             return
+        plant, actuation = measured
+        beside = plant.D @ actuation.through @ actuation.covariance
+        if plant.S.nnz():
+            beside = plant.S[moved_by_noise(plant), :].T
         n, lag, entries = self.n, self.lag, len(triangle(self.n))
         r, M, T = self._informed(builder, plant, found, prior, beside)
         builder.local("weighted_past", lag * n * n)
@@ -165,7 +166,10 @@ class Lagged:
         prior: ca.SX,
         beside: ca.SX,
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """C' S^-1 nu, C' S^-1 C and C' S^-1 Cov(y, (x, what else)) over the rows used, named."""
+        """C' S^-1 nu, C' S^-1 C and C' S^-1 Cov(y, (x, what else)) over the rows used, named.
+
+        ``beside`` (p, r) is the covariance of y[k] with what it tells of beside x.
+        """
         n, C = self.n, plant.C
         crossed = builder.name_entries("seen_covariance", C @ unpack(prior, n))
         columns = ca.horzcat(found.innovation, C, crossed, beside)

@@ -64,7 +64,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     factored = has_factors(plant) and not delays.rows and not lagged.lag
     form = update_form(spec, plant, augmented=size > 0, factored=factored)
     beside, notes = size + len(moved_by_noise(plant)), (*gate_notes(spec), *delays.notes)
-    notes += (*(() if replay is None else replay.notes), *lagged.notes)
+    notes += (*(() if replay is None else replay.notes), *lagged.notes, *_marks(spec, plant))
     order = order_of((plant,)) if form == "ud" else ()
     if form == "ud":
         ports = (*factor_ports(plant.ne, beside), *ports)
@@ -151,6 +151,14 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
     for value, other, room in ((gamma, ca.SX(0), ca.SX(0)), (delta, factor, slack)):
         zero = (value - 1) * (value - other)
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
+
+
+def _marks(spec: Spec, plant: Plant) -> tuple[str, ...]:
+    """What the header says about estimates of past samples of a plant that is not linear."""
+    past = [name for name, has in (("late rows", _delays(spec, plant).rows),) if has]
+    past += ["lagged estimates"] if _lagged(spec, plant).lag else []
+    curved = plant.lifted is not None
+    return tuple(f"{each} are approximate: f and h are linearised" for each in past if curved)
 
 
 def _delays(spec: Spec, plant: Plant) -> Delays:
@@ -246,10 +254,8 @@ def _update(
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
-    beside = plant.D @ actuation.through @ actuation.covariance
-    if plant.S.nnz():
-        beside = plant.S[moved_by_noise(plant), :].T
-    _lagged(spec, plant).corrected(builder, plant, found, symbols["predicted_covariance"], beside)
+    before = symbols["predicted_covariance"]
+    _lagged(spec, plant).corrected(builder, (plant, actuation), found, before)
     if passage is not None:
         assign |= passage.results(found, symbols)
         kept = tuple(passage.counted(row) for row in range(plant.ny))

@@ -23,7 +23,7 @@ from fkgen.problem import Spec
 from fkgen.runtime.compiled import CompiledFilter, Pieces
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.record import choice
-from fkgen.runtime.results import Run
+from fkgen.runtime.results import Run, Smoothed
 from fkgen.study.records.files import refuse_targets, write_whole, written_whole
 from fkgen.study.records.reading import Reading, as_arrow
 from fkgen.study.records.record import Record, Table
@@ -35,12 +35,12 @@ Array = NDArray[np.floating]
 
 #: What is written unless somebody asks for something else, as far as a filter has it.
 DEFAULT = (
-    *("filtered_state", "filtered_sd", "innovation", "nis"),
+    *("filtered_state", "filtered_sd", "lagged_state", "lagged_sd", "innovation", "nis"),
     *("mode_probability", "success_rate_estimate"),
     *("test_statistic", "test_dof", "fault_declared"),
 )
 #: Square roots of the diagonals of covariances: easier to read, and to plot.
-DEVIATIONS = {"filtered_sd": "filtered_covariance", "predicted_sd": "predicted_covariance"}
+DEVIATIONS = {f"{of}_sd": f"{of}_covariance" for of in ("filtered", "predicted", "lagged")}
 _STATUS = "status"
 #: What the last axes of a port are, by its name or the last word of it.
 _AXES = {
@@ -63,7 +63,8 @@ class Selection:
 
 def select(layout: Layout, names: Sequence[str] = ()) -> Selection:
     """Decide what to keep: ports and deviations by name, or the default selection."""
-    known = [*(port.name for port in layout.ports), *DEVIATIONS, _STATUS]
+    ports = [port.name for port in layout.ports]
+    known = [*ports, *(name for name, of in DEVIATIONS.items() if of in ports), _STATUS]
     for name in names:
         if name not in known:
             raise DataError("--keep", given=repr(name), expected=choice(name, known))
@@ -217,9 +218,11 @@ def run(
     return told
 
 
-def smooth(spec: Spec, reading: Reading, *, output: Path | None, force: bool) -> Told:
+def smooth(
+    spec: Spec, reading: Reading, *, output: Path | None, plot: Path | None, force: bool
+) -> Told:
     """Read all of a record, filter and smooth it, and write states with standard deviations."""
-    refuse_targets(output, force=force)
+    refuse_targets(output, plot, force=force)
     record = Record(reading, spec)
     built = build(spec)
     summary, refusals = Summary(spec, built), _Refusals(built.name)
@@ -241,12 +244,24 @@ def smooth(spec: Spec, reading: Reading, *, output: Path | None, force: bool) ->
     )
     with _target(output, force=force) as file:
         file.write(_lines(whole, columns, smoothed.status))
+        if plot is not None:
+            _draw_smoothed(spec, whole, smoothed, plot, force=force)
     notes = [*record.notes, *(["approximate: the plant is linearised"] * smoothed.approximate)]
-    if output is not None:
-        notes.append(f"{output}: written, {several(summary.samples, 'sample')}")
+    samples = f"written, {several(summary.samples, 'sample')}"
+    notes += [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told(notes, list(record.warnings), [], summary.text(whole.file))
     told.refused.extend(refusals.sentences(whole))
     return told
+
+
+def _draw_smoothed(spec: Spec, table: Table, found: Smoothed, plot: Path, *, force: bool) -> None:
+    """A panel per state."""
+    from fkgen.study.reports.plots import draw, rendered  # noqa: PLC0415 - slow to import
+
+    values = {"filtered_state": found.state, "filtered_covariance": found.covariance}
+    states = Run(values, found.status, np.zeros(len(found.status), np.bool_))
+    picture = rendered(draw(spec, table, states, estimate="smoothed"), plot)
+    write_whole(plot, picture, force=force)
 
 
 @contextmanager

@@ -58,6 +58,7 @@ class _Sheet:
     time: Array
     y: Array  # (T, p); NaN = missing
     read_by: tuple[tuple[int, ...], ...]  # per state the rows of y that are it in noise
+    estimate: str  # What the states are
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -101,19 +102,19 @@ def _read_by(spec: Spec) -> tuple[tuple[int, ...], ...]:
 
 
 @styled
-def draw(spec: Spec, table: Table, run: Run) -> Figure:
+def draw(spec: Spec, table: Table, run: Run, *, estimate: str = "filtered") -> Figure:
     """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
     It needs ``filtered_state``. ``filtered_covariance``, ``innovation``, ``nis``,
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
-    they are there.
+    they are there. ``estimate`` is what the states are called.
     """
     states, outputs, soft = _panels_of(spec)[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
     time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
     if not table.time_name and spec.period is not None:
         time, label = time * spec.period, "time (s)"
-    sheet = _Sheet(spec, run, time, np.asarray(table.y, dtype=float), _read_by(spec))
+    sheet = _Sheet(spec, run, time, np.asarray(table.y, dtype=float), _read_by(spec), estimate)
     draws = [partial(draw_one, sheet=sheet) for draw_one in states]
     if "innovation" in run.ports:
         draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
@@ -136,7 +137,8 @@ def panels(
 ) -> Figure:
     """Draw panels above each other, time below the last one, gaps as grey bars through all."""
     figure = Figure(figsize=(9.0, sum(heights)), layout="constrained")
-    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    several = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    axes = several[:, 0]
     for axis, draw_panel in zip(axes, draws, strict=True):
         axis.margins(x=0.0)
         if gaps:
@@ -221,7 +223,7 @@ def _draw_state(axis: Axes, sheet: _Sheet, signal: Signal, i: int, error: int) -
         used = sheet.present[:, row] & ~sheet.rejected[:, row]
         label = None if at else "measured"
         axis.plot(sheet.time[used], sheet.y[used, row], ".", ms=2.0, color=GREY, label=label)
-    axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
+    axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label=sheet.estimate)
     _mark_refused(axis, sheet)
     axis.set_ylabel(label_of(signal))
     # room for the state and its usual band: a vague start does not set the scale
