@@ -83,11 +83,11 @@ def matrices(theta):
 
 @pytest.fixture(scope="module")
 def walk():
-    """Two records of different length, some rows missing."""
+    """Three records, of two lengths, some rows missing."""
     spec = fkgen.Spec.from_dict(WALK)
-    y = fkgen.simulate(spec, 2, 80, 3).y
+    y = fkgen.simulate(spec, 3, 80, 3).y
     y[np.random.default_rng(1).random(y.shape) < 0.15] = np.nan
-    return spec, [y[0], y[1, :50]]
+    return spec, [y[0], y[1, :50], y[2, :50]]
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,11 @@ def test_differences_in_lanes_are_the_derivatives_of_complex_steps(walk):
     likelihood = Likelihood(built, NAMES, given)
     found = np.concatenate([terms(matrices(THETA), y) for y in records])
     np.testing.assert_allclose(likelihood.samples([THETA])[0], found, rtol=1e-10)
-    assert likelihood([THETA, 1.1 * THETA])[0] == pytest.approx(found.sum(), rel=1e-12)
+    others = [THETA, 1.1 * THETA, 0.9 * THETA]
+    totals = [sum(terms(matrices(theta), y).sum() for y in records) for theta in others]
+    np.testing.assert_allclose(likelihood(others), totals, rtol=1e-10)
+    begun = sum(terms(matrices(THETA), y[:10]).sum() for y in records)
+    assert likelihood.first(30)([THETA])[0] == pytest.approx(begun, rel=1e-10)
     axes = tuple(
         Axis(name, value, -np.inf, np.inf) for name, value in zip(NAMES, THETA, strict=True)
     )
@@ -194,11 +198,17 @@ def test_covariances_of_estimates_are_those_of_exact_derivatives(walk):
     assert other.log_likelihood == pytest.approx(fit.log_likelihood, rel=1e-10)
     sandwich = inverse @ (slopes.T @ slopes) @ inverse
     np.testing.assert_allclose(other.covariance, sandwich, rtol=5e-3, atol=1e-5)
+    widened = np.diag(sandwich) / np.diag(inverse)
+    np.testing.assert_allclose(other.inflation, widened, rtol=1e-2)
+    j = other.names.index("q")
+    level = other._curve("q").at(other.interval()["q"][1])
+    fallen = 2.0 * (other.log_likelihood - level) / widened[j]
+    assert fallen == pytest.approx(3.8415, rel=2e-2)
 
 
 def test_records_are_taken_in_every_form(walk):
     spec, records = walk
-    y = np.stack([records[0][:50], records[1]])
+    y = np.stack(records[1:])
     both = fkgen.fit(spec, y, estimate=("a", "q"))
     apart = fkgen.fit(spec, [each.tolist() for each in y], estimate=("a", "q"))
     assert apart.log_likelihood == both.log_likelihood
