@@ -192,3 +192,45 @@ def test_blocks_in_a_ledger_are_joined():
     assert ledger.missing(8) == [range(3, 4), range(6, 8)]
     assert ledger.missing(2) == []
     assert ledger.blocks == 5
+
+
+@pytest.mark.exhaustive
+def test_a_scheduler_that_is_restarted(spec, tmp_path, monkeypatch):
+    """One that goes away in the middle, and another one that goes on from the checkpoint."""
+    monkeypatch.setattr(engine, "PATIENCE", 5.0)
+    trials, file = 200_000, tmp_path / "kept.json"
+    wanted = fkgen.montecarlo(spec, trials, STEPS, 5).to_json()
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    command += ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    command += ["--scheduler-file", str(tmp_path / "scheduler.json")]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as scheduler:
+        address = started(tmp_path / "scheduler.json")
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1"]
+        with subprocess.Popen([*worker, "--no-dashboard"], stderr=subprocess.DEVNULL) as one:
+
+            def kill():
+                while not file.exists():
+                    time.sleep(0.01)
+                scheduler.kill()
+
+            threading.Thread(target=kill).start()
+            with pytest.raises(
+                fkgen.DataError, match=r"gone.*kept\.json holds .* trials: the same"
+            ):
+                fkgen.montecarlo(spec, trials, STEPS, 5, scheduler=address, checkpoint=file)
+            one.kill()
+    assert 0 < json.loads(file.read_text())["trials"] < trials
+    with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        found = fkgen.montecarlo(spec, trials, STEPS, 5, scheduler=address, checkpoint=file)
+    assert found.to_json() == wanted
+
+
+def started(file):
+    """The address of a scheduler that writes it into a file."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        if file.exists() and (text := file.read_text()):
+            return json.loads(text)["address"]
+        time.sleep(0.1)
+    raise TimeoutError
