@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from distributed import LocalCluster
 from sensor_specs import SCALAR
 
 import fkgen
+from fkgen.runtime import cache
 from fkgen.study.campaigns import block, campaign, checkpoint, engine
 from fkgen.study.campaigns.engine import Lost
 
@@ -174,6 +176,24 @@ def test_control_c_ends_the_command_with_one_line_and_the_checkpoint(spec, tmp_p
     assert err.count("\n") == 1
     assert "kept.json holds" in err
     assert json.loads(file.read_text())["trials"] > 0
+
+
+def test_work_that_travels_is_compiled_once_for_each_kind_of_processor(
+    spec, tmp_path, monkeypatch, small_blocks
+):
+    work = campaign.work_of(spec, campaign.Request(spec, 100, STEPS, 5, 0))
+    data, expected = pickle.dumps(work), work.sums(range(5)).parts
+    here = pickle.loads(data)  # noqa: S301 - our own
+    assert here.compiled.folder == work.compiled.folder
+    assert here.drawing.compiled.folder == work.drawing.compiled.folder
+    monkeypatch.setattr(cache, "processor", lambda: "of another kind")  # with the same folder
+    for _ in range(2):
+        there = pickle.loads(data)  # noqa: S301
+        assert there.compiled.folder != work.compiled.folder
+        assert there.drawing.compiled.folder != work.drawing.compiled.folder
+        made = sorted(each.name for each in cache.folder().iterdir())
+        assert there.sums(range(5)).parts.tobytes() == expected.tobytes()
+    assert made == sorted(each.name for each in cache.folder().iterdir())
 
 
 def test_a_block_is_small_and_full_of_lanes(spec):
