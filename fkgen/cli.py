@@ -265,12 +265,14 @@ def verify(spec: Spec) -> None:
 @_CSV
 @_PLOT
 @click.option("--keep", default="", help="Columns instead of the usual ones: port,port,...")
+@click.option("--resume", is_flag=True, help="Keep what is written when it stops; go on from it.")
 @_FORCE
 @_reading
 def run(spec: Spec, record: Reading, **options: Any) -> None:
     """Filter RECORD, a CSV, Parquet, npz or mat file, with the compiled filter of SPEC.
 
-    Numbers go to the standard output, a summary and what is to be said to the standard error.
+    Numbers go to the standard output or a file (.parquet, else CSV), a summary and what is to be
+    said to the standard error.
     """
     from fkgen.study.records import filtering
 

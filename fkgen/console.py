@@ -38,6 +38,25 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
 
 
 @contextmanager
+def counting(*, shown: bool) -> Iterator[Advance]:
+    """The same where nobody knows how many there are: a terminal shows how many there were."""
+    screen = console(err=True) if shown else None
+    if screen is None or not screen.is_terminal:
+        yield lambda _: None
+        return
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.completed:,.0f} samples", markup=False),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=screen, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done: bar.advance(task, done)
+
+
+@contextmanager
 def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
     """A function to call with the number of pieces done since; only a terminal shows the bar."""
     screen = console(err=True) if shown else None

@@ -50,6 +50,10 @@ _WRITTEN = {
     "chain": "probabilities of the next condition after each, summed up",
 }
 _NORMAL = {Operator.LOG, Operator.SQRT}  # what normal numbers need
+#: Samples whose random numbers are drawn at a stretch: they stay in the nearest cache.
+MANY = 128
+#: The bits of 2^52, below which those of a whole number are a double.
+WHOLE_BITS = "0x4330000000000000u"
 _NEGLIGIBLE = 1e-14  # a pivot below this share of its diagonal entry is the rounding of a zero
 _TINY = 1e-300  # keeps the quotient of two zeros at zero
 _ROUNDED = 1e-9  # joint probabilities of expressions may fall below zero by their rounding
@@ -78,6 +82,8 @@ def render_sampler(spec: Spec) -> SamplerSource:
         "tests_finiteness": any(node.kind is Kind.FINITE for node in every(Require, body)),
         **dict(zip("nqp", sizes, strict=True)),
         "errors": spec.model.ne,
+        "many": MANY,
+        "whole_bits": WHOLE_BITS,
         "noises": noise_count(spec),
         "conditions": conditions,
         "initial": _cumulative(conditions.initial),

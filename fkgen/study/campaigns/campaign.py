@@ -176,8 +176,8 @@ class _Going:
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"interrupted{self._how_to_go_on}") from None
         except Lost as lost:
-            given = f"{lost.given}{self._how_to_go_on}"
-            raise DataError(lost.what, given=given, expected=lost.expected) from None
+            expected = f"{lost.expected}{self._how_to_go_on}"
+            raise DataError(lost.what, given=lost.given, expected=expected) from None
         finally:
             self.kept.write()
 

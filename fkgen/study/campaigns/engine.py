@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -29,6 +30,7 @@ Engine = Callable[[Iterable[range]], Iterator[tuple[range, Sums]]]
 
 #: Seconds to wait for a scheduler, and for a worker where there is none.
 PATIENCE = 30.0
+_LOUD = ("distributed.client", "distributed.utils", "distributed.core", "distributed.comm")
 _TICK, _PAUSE = 0.5, 2.0  # seconds of a wait, and between looks at whether anybody is there
 
 
@@ -110,6 +112,10 @@ def _cluster(work: Work, scheduler: Any) -> Iterator[tuple[Engine, int]]:
     """Workers of a Dask cluster: tasks of a worker that dies are done again by another one."""
     distributed = _distributed()
     client, own = _client(distributed, scheduler)
+    loggers = [logging.getLogger(name) for name in _LOUD]
+    levels = [each.level for each in loggers]
+    for each in loggers:
+        each.setLevel(logging.CRITICAL)  # what goes wrong is told in one line
     try:
         # a task of its own: whoever loses it gets it again
         shared = client.submit(_itself, work, pure=False)
@@ -131,6 +137,8 @@ def _cluster(work: Work, scheduler: Any) -> Iterator[tuple[Engine, int]]:
         if own:
             with contextlib.suppress(Exception):  # it may be gone
                 client.close(timeout=2)
+        for each, level in zip(loggers, levels, strict=True):
+            each.setLevel(level)
 
 
 def _client(distributed: Any, scheduler: Any) -> tuple[Any, bool]:

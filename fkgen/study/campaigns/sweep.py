@@ -114,7 +114,7 @@ def sweep(
         Dotted keys of the spec of the plant (``model.Q``, ``faults.actuator.success_rate``), and
         what they take: "0.5:0.95:10", ten numbers of equal distance; "0.5x:2x:5", five factors of
         equal ratio; or numbers.
-    trials, steps, seed, truth, options
+    trials, steps, seed, truth, progress, options
         As for `montecarlo`; the plant that varies is ``truth``, or that of ``spec``.
 
     Raises

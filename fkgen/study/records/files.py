@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import secrets
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from fkgen.errors import OutputError
+from fkgen.errors import DataError, OutputError
 
 PICTURES = (".png", ".pdf", ".svg")  # what can be drawn, by the ending of the name
+_EVERY = 5.0  # seconds between two notes of how much of a file is there
 
 
 def refuse_targets(output: Path | None, plot: Path | None = None, *, force: bool) -> None:
@@ -91,3 +94,92 @@ def _settle(partial: Path, target: Path, *, force: bool) -> None:
         else:
             return
     partial.replace(target)
+
+
+class Kept:
+    """What there is of a file that is kept when its writing stops.
+
+    Attributes
+    ----------
+    samples : int
+        Those that are in it.
+    """
+
+    def __init__(self, path: Path, facts: Mapping[str, Any]) -> None:
+        self._path, self._facts = path.with_name(f"{path.name}.partial"), dict(facts)
+        self._note = self._path.with_name(f"{self._path.name}.json")
+        self.samples, size, self._noted = 0, 0, time.monotonic()
+        if self._note.exists():
+            self.samples, size = self._read()
+        self.file: IO[bytes] = self._path.open("r+b" if self.samples else "wb")
+        self.file.truncate(size)
+        self.file.seek(size)
+
+    def _read(self) -> tuple[int, int]:
+        try:
+            found = json.loads(self._note.read_bytes())
+            samples, size = int(found["samples"]), int(found["bytes"])
+            same = found["facts"] == self._facts and self._path.stat().st_size >= size
+        except (OSError, ValueError, KeyError, TypeError):
+            same = False
+        if not same:
+            given = "what is left of another run, or of another record; it stays as it is"
+            expected = f"the same call that left it, or its removal, with {self._path.name}"
+            raise DataError(str(self._note), given=given, expected=expected)
+        return samples, size
+
+    def add(self, data: bytes, samples: int) -> None:
+        """Write samples, and note now and then how many there are."""
+        self.file.write(data)
+        self.samples += samples
+        if time.monotonic() - self._noted > _EVERY:
+            self.note()
+
+    def note(self) -> None:
+        """Note how much is there, once it is."""
+        self.file.flush()
+        os.fsync(self.file.fileno())
+        state = {"facts": self._facts, "samples": self.samples, "bytes": self.file.tell()}
+        write_whole(self._note, json.dumps(state).encode(), force=True)
+        self._noted = time.monotonic()
+
+    def discard(self) -> None:
+        """Leave nothing."""
+        self._path.unlink(missing_ok=True)
+        self._note.unlink(missing_ok=True)
+
+    def settle(self, target: Path, *, force: bool) -> None:
+        """Give the whole file its name."""
+        self.note()
+        self.file.close()
+        _settle(self._path, target.resolve(), force=force)
+        self.discard()
+
+
+@contextmanager
+def kept_whole(path: Path, facts: Mapping[str, Any], *, force: bool) -> Iterator[Kept]:
+    """A file as of `written_whole`; what there is of it stays when writing stops, to go on from.
+
+    ``facts`` say what it is about: it goes on only if they are the same.
+    """
+    refuse_existing(path, force=force)
+    try:
+        kept = Kept(path, facts)
+        try:
+            yield kept
+            kept.settle(path, force=force)
+        except KeyboardInterrupt:
+            kept.note()
+            there = f"{path}.partial holds {kept.samples} samples"
+            raise KeyboardInterrupt(
+                f"interrupted; {there}: the same call goes on from there"
+            ) from None
+        except DataError:  # of the record: it would be the same again
+            kept.discard()
+            raise
+        finally:
+            kept.file.close()
+    except OSError as error:
+        given = (error.strerror or str(error)).lower()
+        expected = "a place that can be written; the same call goes on from what is there"
+        raise OutputError(str(path), given=given, expected=expected) from None

@@ -7,29 +7,32 @@ import io
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product, repeat
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.console import counting
 from fkgen.errors import DataError
 from fkgen.pipeline import build
 from fkgen.problem import Spec
+from fkgen.runtime import cache
 from fkgen.runtime.compiled import CompiledFilter, Pieces
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.record import choice
 from fkgen.runtime.results import Run, Smoothed
-from fkgen.study.records.files import refuse_targets, write_whole, written_whole
+from fkgen.study.records.files import kept_whole, refuse_targets, write_whole, written_whole
 from fkgen.study.records.reading import Reading, as_arrow
 from fkgen.study.records.record import Record, Table
 from fkgen.study.records.summary import Summary, several
 from fkgen.study.records.table import joined
 from fkgen.symbolic.interface import Port, Status
+from fkgen.version import __version__
 
 Array = NDArray[np.floating]
 
@@ -42,6 +45,7 @@ DEFAULT = (
 #: Square roots of the diagonals of covariances: easier to read, and to plot.
 DEVIATIONS = {f"{of}_sd": f"{of}_covariance" for of in ("filtered", "predicted", "lagged")}
 _STATUS = "status"
+GROUP = 1 << 18  # samples of a row group of a Parquet file, about
 #: What the last axes of a port are, by its name or the last word of it.
 _AXES = {
     "innovation_covariance": ("outputs", "outputs"),
@@ -114,40 +118,30 @@ def _labels(layout: Layout, port: Port) -> list[Sequence[str]]:
     return names
 
 
-def to_csv(
-    layout: Layout, table: Table, run: Run, selection: Selection, *, header: bool = True
-) -> bytes:
-    """Lines of the output file: times as they were given, the selected columns, the status.
-
-    Numbers have the digits that give the same number back; a missing one is an empty field.
-    """
-    return _lines(table, columns_of(layout, run, selection), run.status, header=header)
-
-
-def _lines(
-    table: Table,
-    values: Iterable[tuple[str, Array]],
-    status: NDArray[np.int32],
-    *,
-    header: bool = True,
-) -> bytes:
-    """Lines of times, columns and status."""
+def batch_of(table: Table, values: Iterable[tuple[str, Array]], status: NDArray[np.int32]) -> Any:
+    """Columns of an output file: times as they were given, values, the status."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
-    from pyarrow import csv as arrow  # noqa: PLC0415
 
     columns: list[tuple[str, Any]] = []
-    quoted = False
     if table.time_name:
-        texts = pa.array(table.time_text, pa.string())
-        quoted = any(set(text) & set(',"\n') for text in _some(texts))
-        columns.append((table.time_name, texts))
+        columns.append((table.time_name, pa.array(table.time_text, pa.string())))
     columns += [(name, as_arrow(v)) for name, v in values]
     columns.append((_STATUS, as_arrow(status)))
     names, arrays = zip(*columns, strict=True)
-    out = io.BytesIO(csv_text(names, []).encode() if header else b"")
+    return pa.RecordBatch.from_arrays(list(arrays), list(names))
+
+
+def lines_of(table: Table, batch: Any, *, header: bool = True) -> bytes:
+    """Such columns as lines of a CSV file.
+
+    Numbers have the digits that give the same number back; a missing one is an empty field.
+    """
+    from pyarrow import csv as arrow  # noqa: PLC0415 - slow to import
+
+    out = io.BytesIO(csv_text(batch.schema.names, []).encode() if header else b"")
     out.seek(0, io.SEEK_END)
-    batch = pa.RecordBatch.from_arrays(list(arrays), [str(i) for i in range(len(names))])
-    style = "needed" if quoted else "none"
+    texts = _some(batch.column(0)) if table.time_name else []
+    style = "needed" if any(set(text) & set(',"\n') for text in texts) else "none"
     options = arrow.WriteOptions(include_header=False, quoting_style=style)
     arrow.write_csv(batch, out, options)
     return out.getvalue()
@@ -170,6 +164,35 @@ def csv_text(header: Sequence[str], columns: Sequence[Sequence[object]]) -> str:
     return out.getvalue()
 
 
+class _Groups:
+    """Row groups of a Parquet file, of many pieces each: what there is of them stays in memory."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._writer, self._waiting = file, cast("Any", None), list[Any]()
+
+    def add(self, batch: Any) -> None:
+        """Take in a piece, and write what is large enough."""
+        self._waiting.append(batch)
+        if sum(each.num_rows for each in self._waiting) >= GROUP:
+            self._write()
+
+    def close(self) -> None:
+        """Write what is left, and the end of the file."""
+        self._write()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _write(self) -> None:
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
+        from pyarrow import parquet  # noqa: PLC0415
+
+        if self._waiting:
+            whole = pa.Table.from_batches(self._waiting)
+            self._writer = self._writer or parquet.ParquetWriter(self._file, whole.schema)
+            self._writer.write_table(whole)
+            self._waiting = []
+
+
 @dataclass(frozen=True, slots=True)
 class Told:
     """What to say of a run that is done."""
@@ -181,12 +204,21 @@ class Told:
 
 
 def run(
-    spec: Spec, reading: Reading, *, output: Path | None, plot: Path | None, keep: str, force: bool
+    spec: Spec,
+    reading: Reading,
+    *,
+    output: Path | None,
+    plot: Path | None,
+    keep: str,
+    force: bool,
+    resume: bool = False,
 ) -> Told:
     """Read, build, filter, write the columns ``keep`` and a picture; all of it or nothing.
 
-    A record passes through in pieces; only a picture needs all of it. Without ``output`` the
-    columns go to the standard output, after the last of them is known.
+    A record passes through in pieces; only a picture needs all of it. An ``output`` that ends in
+    .parquet is one, any other a CSV file. Without one, the columns go to the standard output, after
+    the last of them is known. To ``resume`` is to keep what was written when something stops it,
+    and to go on from there.
     """
     refuse_targets(output, plot, force=force)
     record = Record(reading, spec)
@@ -196,21 +228,22 @@ def run(
     summary, refusals = Summary(spec, built), _Refusals(built.name)
     stored = tuple(dict.fromkeys((*selection.ports, *drawn, *summary.ports)))
     filtered, done = built.pieces(stored), list[tuple[Table, Run]]()
-    picture = b""
-    with _target(output, force=force) as file:
-        for at, table in enumerate(record.pieces()):
+    facts = _facts(spec, reading, keep) if resume else None
+    lines, shown = _Lines(built.layout, selection), sys.stderr.isatty() and output is not None
+    with _written(lines, output, facts, force=force) as write, counting(shown=shown) as advance:
+        for table in record.pieces():
             found = filtered.filter(table.y, table.u if built.layout.inputs else None, table.params)
-            file.write(to_csv(built.layout, table, found, selection, header=at == 0))
+            write(table, found)
             summary.add(table, found)
             refusals.add(table, found, filtered)
+            advance(table.samples)
             if plot is not None:
                 done.append((table, found))
         if plot is not None:
             from fkgen.study.reports.plots import draw, rendered  # noqa: PLC0415 - slow to import
 
             whole, runs = joined([each for each, _ in done]), Run.joined([r for _, r in done])
-            picture = rendered(draw(spec, whole, runs), plot)
-            write_whole(plot, picture, force=force)
+            write_whole(plot, rendered(draw(spec, whole, runs), plot), force=force)
     samples = f"written, {several(summary.samples, 'sample')}"
     written = [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told([*record.notes, *written], list(record.warnings), [], summary.text(table.file))
@@ -243,7 +276,7 @@ def smooth(
         for i, name in enumerate(names)
     )
     with _target(output, force=force) as file:
-        file.write(_lines(whole, columns, smoothed.status))
+        file.write(lines_of(whole, batch_of(whole, columns, smoothed.status)))
         if plot is not None:
             _draw_smoothed(spec, whole, smoothed, plot, force=force)
     notes = [*record.notes, *(["approximate: the plant is linearised"] * smoothed.approximate)]
@@ -262,6 +295,67 @@ def _draw_smoothed(spec: Spec, table: Table, found: Smoothed, plot: Path, *, for
     states = Run(values, found.status, np.zeros(len(found.status), np.bool_))
     picture = rendered(draw(spec, table, states, estimate="smoothed"), plot)
     write_whole(plot, picture, force=force)
+
+
+def _facts(spec: Spec, reading: Reading, keep: str) -> dict[str, Any]:
+    """What has to be the same for a run to go on."""
+    stat = reading.path.stat()
+    return {
+        "version": f"{__version__} {cache.own_digest()[:12]}",
+        "spec": cache.key_of(spec.canonical()),
+        "record": [repr(reading), stat.st_size, stat.st_mtime_ns],
+        "keep": keep,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """What becomes a file: a run as columns of the selected ports."""
+
+    layout: Layout
+    selection: Selection
+
+    def batch(self, table: Table, run: Run) -> Any:
+        values = columns_of(self.layout, run, self.selection)
+        return batch_of(table, values, run.status)
+
+    def text(self, table: Table, run: Run, *, header: bool) -> bytes:
+        return lines_of(table, self.batch(table, run), header=header)
+
+
+@contextmanager
+def _written(
+    lines: _Lines, output: Path | None, facts: Mapping[str, Any] | None, *, force: bool
+) -> Iterator[Callable[[Table, Run], None]]:
+    """What writes a piece after the other: into a CSV file, a Parquet file or the output."""
+    in_groups = output is not None and output.suffix.lower() == ".parquet"
+    if facts is not None:
+        if output is None or in_groups:
+            given = "the standard output" if output is None else str(output)
+            raise DataError("--resume", given=given, expected="a CSV file as --output")
+        with kept_whole(output, facts, force=force) as kept:
+            done, there = 0, kept.samples
+
+            def go_on(table: Table, run: Run) -> None:
+                nonlocal done
+                if done >= there:
+                    kept.add(lines.text(table, run, header=done == 0), table.samples)
+                done += table.samples
+
+            yield go_on
+        return
+    with _target(output, force=force) as file:
+        if in_groups:
+            groups = _Groups(file)
+            yield lambda table, run: groups.add(lines.batch(table, run))
+            groups.close()
+            return
+        header = chain([True], repeat(object=False))
+
+        def line_up(table: Table, run: Run) -> None:
+            file.write(lines.text(table, run, header=next(header)))
+
+        yield line_up
 
 
 @contextmanager

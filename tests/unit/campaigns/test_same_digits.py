@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from distributed import LocalCluster
 from sensor_specs import SCALAR
 
 import fkgen
+from fkgen.runtime import cache
 from fkgen.study.campaigns import block, campaign, checkpoint, engine
 from fkgen.study.campaigns.engine import Lost
 
@@ -146,7 +148,7 @@ def test_a_cluster_that_is_lost_leaves_the_checkpoint(spec, tmp_path, monkeypatc
         monkeypatch, 3, Lost("scheduler", given="a cluster that is gone", expected="one")
     )
     file = tmp_path / "kept.json"
-    with pytest.raises(fkgen.DataError, match=r"gone; .*kept\.json holds \d+ of 1003 trials"):
+    with pytest.raises(fkgen.DataError, match=r"gone; .*kept\.json holds \d+ of 1003 trials: the"):
         fkgen.montecarlo(spec, TRIALS, STEPS, 5, checkpoint=file)
     assert json.loads(file.read_text())["trials"] > 0
 
@@ -176,6 +178,24 @@ def test_control_c_ends_the_command_with_one_line_and_the_checkpoint(spec, tmp_p
     assert json.loads(file.read_text())["trials"] > 0
 
 
+def test_work_that_travels_is_compiled_once_for_each_kind_of_processor(
+    spec, tmp_path, monkeypatch, small_blocks
+):
+    work = campaign.work_of(spec, campaign.Request(spec, 100, STEPS, 5, 0))
+    data, expected = pickle.dumps(work), work.sums(range(5)).parts
+    here = pickle.loads(data)  # noqa: S301 - our own
+    assert here.compiled.folder == work.compiled.folder
+    assert here.drawing.compiled.folder == work.drawing.compiled.folder
+    monkeypatch.setattr(cache, "processor", lambda: "of another kind")  # with the same folder
+    for _ in range(2):
+        there = pickle.loads(data)  # noqa: S301
+        assert there.compiled.folder != work.compiled.folder
+        assert there.drawing.compiled.folder != work.drawing.compiled.folder
+        made = sorted(each.name for each in cache.folder().iterdir())
+        assert there.sums(range(5)).parts.tobytes() == expected.tobytes()
+    assert made == sorted(each.name for each in cache.folder().iterdir())
+
+
 def test_a_block_is_small_and_full_of_lanes(spec):
     for steps in (1, 7, 200, 50_000, 10**6):
         size = block.block_size(spec, steps)
@@ -192,3 +212,48 @@ def test_blocks_in_a_ledger_are_joined():
     assert ledger.missing(8) == [range(3, 4), range(6, 8)]
     assert ledger.missing(2) == []
     assert ledger.blocks == 5
+
+
+@pytest.mark.exhaustive
+def test_a_scheduler_that_is_restarted(spec, tmp_path, monkeypatch):
+    """One that goes away in the middle, and another one that goes on from the checkpoint."""
+    monkeypatch.setattr(engine, "PATIENCE", 5.0)
+    trials, file = 200_000, tmp_path / "kept.json"
+    wanted = fkgen.montecarlo(spec, trials, STEPS, 5).to_json()
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    command += ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    command += ["--scheduler-file", str(tmp_path / "scheduler.json")]
+    scheduler = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    address = started(tmp_path / "scheduler.json")
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1"]
+    one = subprocess.Popen([*worker, "--no-dashboard"], stderr=subprocess.DEVNULL)
+
+    def kill():
+        while not file.exists():
+            time.sleep(0.01)
+        scheduler.kill()
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    try:
+        with pytest.raises(fkgen.DataError, match=r"gone.*kept\.json holds .* trials: the same"):
+            fkgen.montecarlo(spec, trials, STEPS, 5, scheduler=address, checkpoint=file)
+    finally:
+        for each in (one, scheduler):
+            each.kill()
+            each.wait()
+    assert 0 < json.loads(file.read_text())["trials"] < trials
+    with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        found = fkgen.montecarlo(spec, trials, STEPS, 5, scheduler=address, checkpoint=file)
+    assert found.to_json() == wanted
+
+
+def started(file):
+    """The address of a scheduler that writes it into a file."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        if file.exists() and (text := file.read_text()):
+            return json.loads(text)["address"]
+        time.sleep(0.1)
+    raise TimeoutError

@@ -42,8 +42,17 @@ def jumping():
     return spec_of({"family": "imm"}, faults={"jump": jump})
 
 
+THREE = {
+    "A": [[0.9, 0.1, 0.0], [0.0, 0.95, 0.1], [-0.2, 0.0, 0.8]],
+    "C": [[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]],
+    "Q": [[0.1, 0.05, 0.02], [0.05, 0.2, -0.1], [0.02, -0.1, 0.3]],
+    "R": [[0.04, 0.01], [0.01, 0.09]],
+    "x0": [0.0, 1.0, 0.0],
+    "P0": [[1.0, 0.5, 0.2], [0.5, 2.0, 0.3], [0.2, 0.3, 0.5]],
+}
 CASES = {
     "kf": lambda: spec_of({"family": "kf"}),
+    "three states": lambda: spec_of({"family": "kf"}, THREE),
     "float": lambda: spec_of({"family": "kf"}, code={"scalar": "float"}),
     "sensor": lambda: spec_of({"family": "imm"}, SCALAR, faults={"sensor": SENSOR}),
     "three modes": lambda: spec_of(

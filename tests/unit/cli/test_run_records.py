@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import subprocess
 import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.records import csv_files
+from fkgen.study.records import csv_files, files, filtering
 from fkgen.study.records.table import read_table
 
 SPEC = """
@@ -264,3 +267,94 @@ def test_other_files_are_refused_in_one_line_and_nothing_is_lost(folder, monkeyp
     with pytest.raises(fkgen.DataError) as error:
         read_table(name, fkgen.load("walk.toml"))
     assert f"error: {error.value}" == line
+
+
+def test_a_parquet_file_holds_the_numbers_of_the_csv_file(folder, monkeypatch):
+    monkeypatch.setattr(csv_files, "BLOCK", 300)
+    monkeypatch.setattr(filtering, "GROUP", 250)
+    (folder / "log.csv").write_text(text_of(*drawn()).replace("GPS height [m]", "gps"), "utf-8")
+    run("log.csv", "-o", "out.parquet")
+    run("log.csv", "-o", "out.csv")
+    table, text = pd.read_parquet("out.parquet"), pd.read_csv("out.csv")
+    assert 2 < pyarrow.parquet.ParquetFile("out.parquet").num_row_groups < 6
+    assert list(table.columns) == list(text.columns)
+    for name in text.columns[1:]:
+        assert np.array_equal(table[name].to_numpy(float), text[name].to_numpy(float), True)
+    run("out.parquet", "--column", "gps=filtered_state.p", "--column", "speed=filtered_state.v")
+
+
+@pytest.fixture
+def stopped(folder, monkeypatch):
+    """A run that was interrupted in the middle, and the bytes of one that was not."""
+    monkeypatch.setattr(csv_files, "BLOCK", 300)
+    (folder / "log.csv").write_text(text_of(*drawn()).replace("GPS height [m]", "gps"), "utf-8")
+    run("log.csv", "-o", "whole.csv")
+    added, whole = [], files.Kept.add
+
+    def add(self, data, samples):
+        whole(self, data, samples)
+        added.append(samples)
+        if len(added) == 20:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.Kept, "add", add)
+        result = run("log.csv", "-o", "out.csv", "--resume", status=130)
+    line = f"error: interrupted; out.csv.partial holds {sum(added)} samples: the same call goes on"
+    assert result.stderr.startswith(line)
+    assert not (folder / "out.csv").exists()
+    return sum(added), (folder / "whole.csv").read_bytes()
+
+
+def test_a_run_that_was_interrupted_goes_on_to_the_same_bytes(folder, stopped, monkeypatch):
+    written, whole = [], files.Kept.add
+    monkeypatch.setattr(
+        files.Kept, "add", lambda self, data, n: written.append(n) or whole(self, data, n)
+    )
+    with (folder / "out.csv.partial").open("ab") as file:
+        file.write(b"12.3,what was not noted before the power failed")
+    result = run("log.csv", "-o", "out.csv", "--resume")
+    assert (folder / "out.csv").read_bytes() == stopped[1]
+    assert sum(written) == 900 - stopped[0]
+    assert "summary: log.csv: 900 samples" in result.stderr
+    assert sorted(p.name for p in folder.iterdir() if "partial" in p.name) == []
+
+
+def test_what_another_run_left_is_refused_and_stays(folder, stopped):
+    left = (folder / "out.csv.partial").read_bytes()
+    refused = run("log.csv", "-o", "out.csv", "--resume", "--keep", "nis", status=2)
+    assert "what is left of another run, or of another record; it stays as it is" in refused.stderr
+    text = (folder / "log.csv").read_text("utf-8")
+    (folder / "log.csv").write_text(text + "\n", "utf-8")
+    run("log.csv", "-o", "out.csv", "--resume", status=2)
+    assert (folder / "out.csv.partial").read_bytes() == left
+    assert json.loads((folder / "out.csv.partial.json").read_text())["samples"] == stopped[0]
+
+
+def test_a_run_that_cannot_be_resumed_is_refused_and_a_bad_record_leaves_nothing(folder):
+    (folder / "log.csv").write_text("gps,speed\n1,2\n1,x\n", encoding="utf-8")
+    for options in (("--resume",), ("--resume", "-o", "out.parquet")):
+        refused = run("log.csv", *options, status=2)
+        assert "expected a CSV file as --output" in refused.stderr
+    run("log.csv", "-o", "out.csv", "--resume", status=2)
+    assert sorted(p.name for p in folder.iterdir()) == ["log.csv", "walk.toml"]
+
+
+@pytest.mark.exhaustive
+def test_memory_does_not_grow_with_the_record(folder):
+    code = (
+        "import resource; from fkgen.cli import main;"
+        "main(['run', 'walk.toml', '{}', '-o', '{}'], standalone_mode=False);"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    for suffix in ("csv", "parquet"):
+        used = []
+        for samples in (300_000, 3_000_000):
+            y = np.random.default_rng(0).normal(size=(samples, 2)).round(3)
+            frame, name = pd.DataFrame(y, columns=["gps", "speed"]), f"{samples}.{suffix}"
+            frame.to_csv(name, index=False) if suffix == "csv" else frame.to_parquet(name)
+            out = f"out-{name}"
+            command = [sys.executable, "-c", code.format(name, out)]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            used.append(int(done.stdout.split()[-1]) / 1024)
+        assert used[1] < used[0] + 100.0, suffix

@@ -11,7 +11,7 @@ import pytest
 
 import fkgen
 from fkgen.errors import DataError
-from fkgen.study.records.filtering import columns_of, run_table, select, to_csv
+from fkgen.study.records.filtering import batch_of, columns_of, lines_of, run_table, select
 from fkgen.study.records.reading import as_arrow, as_numpy
 from fkgen.study.records.table import read_table
 
@@ -35,6 +35,10 @@ SPEC = fkgen.Spec.from_dict(
     }
 )
 HEAD = "t,push,gnss,wheel,dt\n"
+
+
+def written(layout, table, run, selection):
+    return lines_of(table, batch_of(table, columns_of(layout, run, selection), run.status))
 
 
 @pytest.fixture
@@ -196,7 +200,7 @@ def test_csv_gives_the_same_numbers_back(read, cart):
     table = read(f"{HEAD}0.10,1,0.1,,0.1\n1e0,1,2,3,0.1\n")
     selection = select(cart.layout)
     run = run_table(cart, table, selection)
-    lines = to_csv(cart.layout, table, run, selection).decode().splitlines()
+    lines = written(cart.layout, table, run, selection).decode().splitlines()
     assert lines[0].startswith("t,filtered_state.position,")
     assert lines[0].endswith(",nis,status")
     rows = [line.split(",") for line in lines[1:]]
@@ -212,7 +216,7 @@ def test_float_columns_have_nine_digits(read):
     table = read(f"{HEAD}0,1,0.1,0.3,0.1\n", spec)
     selection = select(built.layout)
     run = run_table(built, table, selection)
-    fields = to_csv(built.layout, table, run, selection).decode().splitlines()[1].split(",")
+    fields = written(built.layout, table, run, selection).decode().splitlines()[1].split(",")
     assert np.float32(fields[1]) == run.filtered_state[0, 0]
     assert len(fields[1]) < 15
 
@@ -227,7 +231,7 @@ def test_a_hundred_thousand_rows_come_out_as_they_went_in(read, cart, tmp_path):
     table = read_table(path, SPEC)
     selection = select(cart.layout)
     run = run_table(cart, table, selection)
-    lines = to_csv(cart.layout, table, run, selection).decode().splitlines()
+    lines = written(cart.layout, table, run, selection).decode().splitlines()
     assert len(lines) == 100_001
     at = lines[0].split(",").index("filtered_state.position")
     assert float(lines[-1].split(",")[at]) == run.filtered_state[-1, 0]
