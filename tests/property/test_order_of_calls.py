@@ -159,7 +159,9 @@ TAKES |= {f"nonlinear_{case}" for case in BY_EQUATIONS} - {
     f"nonlinear_{case}" for case in ("mkf_attitude", "mme_sensed", "imm_three", "one_step_attitude")
 }
 #: Rows of y that only one of several updates may take, together.
-TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "kf_ud", "genie")} | {"kf_functions": [{0, 1}]}
+TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "kf_ud", "genie")} | {
+    "kf_functions": [{0, 1}]
+}
 
 
 def oracle(plant, y, u, params):
