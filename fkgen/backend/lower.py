@@ -72,9 +72,10 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     model = spec.model
     ports, lowered = _phases(recursion)
     names, phases = {port.name for port in ports}, list(lowered.values())
-    form: tuple[str, ...] = (
-        () if recursion.form is None else (f"covariance update: {recursion.form} form",)
-    )
+    form: tuple[str, ...] = ()
+    if recursion.form is not None:
+        how = ": covariances are carried as factors U D U'" if recursion.form == "ud" else ""
+        form = (f"covariance update: {recursion.form} form{how}",)
     nodes = [node for phase in phases for node in ir.walk(phase.body)]
     if any(isinstance(node, ir.OfMatrices) for node in nodes):
         form += ("form of the code: loops over whole matrices",)

@@ -235,210 +235,6 @@ BATTERY_INLINE void battery_copy(const double *from, double *to, int size)
     }
 }
 
-/* combined prediction; part 2; combination. */
-BATTERY_INLINE void battery_part_6(const double *share, const double *moved_state_0,
-    const double *moved_state_1, double *predicted_0_1_mean)
-{
-    predicted_0_1_mean[0] = (share[0] * moved_state_0[0]) + (share[1] * moved_state_1[0]);
-    predicted_0_1_mean[1] = (share[0] * moved_state_0[1]) + (share[1] * moved_state_1[1]);
-}
-
-/* combined prediction; part 2; combination. */
-BATTERY_INLINE void battery_part_7(const double *share, const double *moved_state_0,
-    const double *moved_state_1, double *mean)
-{
-    battery_part_6(share, moved_state_0, moved_state_1, mean);
-    battery_part_6(share, &moved_state_0[2], &moved_state_1[2], &mean[2]);
-}
-
-/* part 2; combination. */
-BATTERY_INLINE void battery_part_3(const double *combined_share, const double combined_0_1_within,
-    const double combined_2_3_within, double *combined_within, double *combined_factor,
-    const double *mean, const double *combined_2_3_mean, double *combined_apart)
-{
-    const double t0 = combined_share[0] * combined_0_1_within;
-    combined_within[3] = t0 + (combined_share[1] * combined_2_3_within);
-    combined_factor[0] = combined_share[0] * combined_share[1];
-    const double t1 = combined_share[0] * combined_share[1];
-    const double t2 = mean[0] - combined_2_3_mean[0];
-    const double t3 = (t1 * (t2 * t2)) - (1000000000.0 * combined_within[0]);
-    const double t4 = mean[1] - combined_2_3_mean[1];
-    const double t5 = (t1 * (t4 * t4)) - (1000000000.0 * combined_within[1]);
-    const double t6 = (t3 > t5) ? t3 : t5;
-    const double t7 = mean[2] - combined_2_3_mean[2];
-    const double t8 = (t1 * (t7 * t7)) - (1000000000.0 * combined_within[2]);
-    const double t9 = (t6 > t8) ? t6 : t8;
-    const double t10 = mean[3] - combined_2_3_mean[3];
-    const double t11 = (t1 * (t10 * t10)) - (1000000000.0 * combined_within[3]);
-    const double t12 = (t9 > t11) ? t9 : t11;
-    if (t12 > 0.0)
-    {
-        const double t13 = combined_share[0] * combined_share[1];
-        const double t14 = 1000000000.0 * combined_within[0];
-        const double t15 = t14 + ((t14 <= 0.0) ? 1.0 : 0.0);
-        const double t16 = mean[0] - combined_2_3_mean[0];
-        const double t17 = t13 * (t16 * t16);
-        const double t18 = (t17 > BATTERY_TINY) ? t17 : BATTERY_TINY;
-        const double t19 = t15 / t18;
-        const double t20 = (1.0 < t19) ? 1.0 : t19;
-        const double t21 = 1000000000.0 * combined_within[1];
-        const double t22 = t21 + ((t21 <= 0.0) ? 1.0 : 0.0);
-        const double t23 = mean[1] - combined_2_3_mean[1];
-        const double t24 = t13 * (t23 * t23);
-        const double t25 = (t24 > BATTERY_TINY) ? t24 : BATTERY_TINY;
-        const double t26 = t22 / t25;
-        const double t27 = (t20 < t26) ? t20 : t26;
-        const double t28 = 1000000000.0 * combined_within[2];
-        const double t29 = t28 + ((t28 <= 0.0) ? 1.0 : 0.0);
-        const double t30 = mean[2] - combined_2_3_mean[2];
-        const double t31 = t13 * (t30 * t30);
-        const double t32 = (t31 > BATTERY_TINY) ? t31 : BATTERY_TINY;
-        const double t33 = t29 / t32;
-        const double t34 = (t27 < t33) ? t27 : t33;
-        const double t35 = 1000000000.0 * combined_within[3];
-        const double t36 = t35 + ((t35 <= 0.0) ? 1.0 : 0.0);
-        const double t37 = mean[3] - combined_2_3_mean[3];
-        const double t38 = t13 * (t37 * t37);
-        const double t39 = (t38 > BATTERY_TINY) ? t38 : BATTERY_TINY;
-        const double t40 = t36 / t39;
-        const double t41 = (t34 < t40) ? t34 : t40;
-        combined_factor[0] = t13 * t41;
-    }
-    combined_apart[0] = mean[0] - combined_2_3_mean[0];
-    combined_apart[1] = mean[1] - combined_2_3_mean[1];
-    combined_apart[2] = mean[2] - combined_2_3_mean[2];
-    combined_apart[3] = mean[3] - combined_2_3_mean[3];
-}
-
-/* combination; mixing and prediction of every mode. */
-BATTERY_INLINE void battery_part_2(const double *combined_0_3_share,
-    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
-    const double *combined_0_1_within, const double *combined_2_3_within,
-    const double *combined_0_1_covariance, const double *combined_2_3_covariance,
-    double *combined_0_3_covariance)
-{
-    double combined_0_3_within[4];
-    double combined_0_3_factor;
-    double combined_0_3_apart[4];
-    battery_part_7(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean);
-    battery_part_6(combined_0_3_share, combined_0_1_within, combined_2_3_within,
-        combined_0_3_within);
-    const double t0 = combined_0_3_share[0] * combined_0_1_within[2];
-    combined_0_3_within[2] = t0 + (combined_0_3_share[1] * combined_2_3_within[2]);
-    battery_part_3(combined_0_3_share, combined_0_1_within[3], combined_2_3_within[3],
-        combined_0_3_within, &combined_0_3_factor, combined_0_1_mean, combined_2_3_mean,
-        combined_0_3_apart);
-    const double t1 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t2 = t1 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t3 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
-    combined_0_3_covariance[0] = t2 + t3;
-    const double t4 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t5 = t4 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t6 = combined_0_3_factor * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t5 + (t6 * combined_0_3_apart[0]);
-    const double t7 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t8 = t7 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t8 + (t6 * combined_0_3_apart[1]);
-    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t11 = combined_0_3_factor * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t10 + (t11 * combined_0_3_apart[0]);
-    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t13 = t12 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t13 + (t11 * combined_0_3_apart[1]);
-    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t15 + (t11 * combined_0_3_apart[2]);
-    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[6];
-    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[6]);
-    const double t18 = combined_0_3_factor * combined_0_3_apart[3];
-    combined_0_3_covariance[6] = t17 + (t18 * combined_0_3_apart[0]);
-    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[7];
-    const double t20 = t19 + (combined_0_3_share[1] * combined_2_3_covariance[7]);
-    combined_0_3_covariance[7] = t20 + (t18 * combined_0_3_apart[1]);
-    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[8];
-    const double t22 = t21 + (combined_0_3_share[1] * combined_2_3_covariance[8]);
-    combined_0_3_covariance[8] = t22 + (t18 * combined_0_3_apart[2]);
-    const double t23 = combined_0_3_share[0] * combined_0_1_covariance[9];
-    const double t24 = t23 + (combined_0_3_share[1] * combined_2_3_covariance[9]);
-    combined_0_3_covariance[9] = t24 + (t18 * combined_0_3_apart[3]);
-}
-
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction(const double *path_share,
-    const double path_share_inverse, double *mixed_share, const double *mode_filtered_state,
-    double *mixed_mean, const double *mode_filtered_covariance, double *mixed_within,
-    double *mixed_factor)
-{
-    double mixed_inverse;
-    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
-    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
-    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
-    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
-    const double t1 = mixed_share[0] * mode_filtered_state[0];
-    mixed_mean[0] = t1 + (mixed_share[1] * mode_filtered_state[4]);
-    const double t2 = mixed_share[0] * mode_filtered_state[1];
-    mixed_mean[1] = t2 + (mixed_share[1] * mode_filtered_state[5]);
-    const double t3 = mixed_share[0] * mode_filtered_state[2];
-    mixed_mean[2] = t3 + (mixed_share[1] * mode_filtered_state[6]);
-    const double t4 = mixed_share[0] * mode_filtered_state[3];
-    mixed_mean[3] = t4 + (mixed_share[1] * mode_filtered_state[7]);
-    const double t5 = mixed_share[0] * mode_filtered_covariance[0];
-    mixed_within[0] = t5 + (mixed_share[1] * mode_filtered_covariance[10]);
-    const double t6 = mixed_share[0] * mode_filtered_covariance[2];
-    mixed_within[1] = t6 + (mixed_share[1] * mode_filtered_covariance[12]);
-    const double t7 = mixed_share[0] * mode_filtered_covariance[5];
-    mixed_within[2] = t7 + (mixed_share[1] * mode_filtered_covariance[15]);
-    const double t8 = mixed_share[0] * mode_filtered_covariance[9];
-    mixed_within[3] = t8 + (mixed_share[1] * mode_filtered_covariance[19]);
-    mixed_factor[0] = mixed_share[0] * mixed_share[1];
-    const double t9 = mixed_share[0] * mixed_share[1];
-    const double t10 = mode_filtered_state[0] - mode_filtered_state[4];
-    const double t11 = (t9 * (t10 * t10)) - (1000000000.0 * mixed_within[0]);
-    const double t12 = mode_filtered_state[1] - mode_filtered_state[5];
-    const double t13 = (t9 * (t12 * t12)) - (1000000000.0 * mixed_within[1]);
-    const double t14 = (t11 > t13) ? t11 : t13;
-    const double t15 = mode_filtered_state[2] - mode_filtered_state[6];
-    const double t16 = (t9 * (t15 * t15)) - (1000000000.0 * mixed_within[2]);
-    const double t17 = (t14 > t16) ? t14 : t16;
-    const double t18 = mode_filtered_state[3] - mode_filtered_state[7];
-    const double t19 = (t9 * (t18 * t18)) - (1000000000.0 * mixed_within[3]);
-    const double t20 = (t17 > t19) ? t17 : t19;
-    if (t20 > 0.0)
-    {
-        const double t21 = mixed_share[0] * mixed_share[1];
-        const double t22 = 1000000000.0 * mixed_within[0];
-        const double t23 = t22 + ((t22 <= 0.0) ? 1.0 : 0.0);
-        const double t24 = mode_filtered_state[0] - mode_filtered_state[4];
-        const double t25 = t21 * (t24 * t24);
-        const double t26 = (t25 > BATTERY_TINY) ? t25 : BATTERY_TINY;
-        const double t27 = t23 / t26;
-        const double t28 = (1.0 < t27) ? 1.0 : t27;
-        const double t29 = 1000000000.0 * mixed_within[1];
-        const double t30 = t29 + ((t29 <= 0.0) ? 1.0 : 0.0);
-        const double t31 = mode_filtered_state[1] - mode_filtered_state[5];
-        const double t32 = t21 * (t31 * t31);
-        const double t33 = (t32 > BATTERY_TINY) ? t32 : BATTERY_TINY;
-        const double t34 = t30 / t33;
-        const double t35 = (t28 < t34) ? t28 : t34;
-        const double t36 = 1000000000.0 * mixed_within[2];
-        const double t37 = t36 + ((t36 <= 0.0) ? 1.0 : 0.0);
-        const double t38 = mode_filtered_state[2] - mode_filtered_state[6];
-        const double t39 = t21 * (t38 * t38);
-        const double t40 = (t39 > BATTERY_TINY) ? t39 : BATTERY_TINY;
-        const double t41 = t37 / t40;
-        const double t42 = (t35 < t41) ? t35 : t41;
-        const double t43 = 1000000000.0 * mixed_within[3];
-        const double t44 = t43 + ((t43 <= 0.0) ? 1.0 : 0.0);
-        const double t45 = mode_filtered_state[3] - mode_filtered_state[7];
-        const double t46 = t21 * (t45 * t45);
-        const double t47 = (t46 > BATTERY_TINY) ? t46 : BATTERY_TINY;
-        const double t48 = t44 / t47;
-        const double t49 = (t42 < t48) ? t42 : t48;
-        mixed_factor[0] = t21 * t49;
-    }
-}
-
 /* mode 0: signal, R; mode 2: no signal, R. */
 BATTERY_INLINE void battery_mode_5(const double *mode_state, double *mean,
     const double *mode_covariance, double *covariance)
@@ -560,8 +356,80 @@ BATTERY_INLINE battery_status_t battery_mode(const double *y, const double *mode
     return BATTERY_OK;
 }
 
+/* combined prediction; part 2; combination. */
+BATTERY_INLINE void battery_part_4(const double *share, const double *moved_state_0,
+    const double *moved_state_1, double *mean, double *apart)
+{
+    mean[0] = (share[0] * moved_state_0[0]) + (share[1] * moved_state_1[0]);
+    mean[1] = (share[0] * moved_state_0[1]) + (share[1] * moved_state_1[1]);
+    mean[2] = (share[0] * moved_state_0[2]) + (share[1] * moved_state_1[2]);
+    mean[3] = (share[0] * moved_state_0[3]) + (share[1] * moved_state_1[3]);
+    apart[0] = moved_state_0[0] - moved_state_1[0];
+    apart[1] = moved_state_0[1] - moved_state_1[1];
+    apart[2] = moved_state_0[2] - moved_state_1[2];
+    apart[3] = moved_state_0[3] - moved_state_1[3];
+}
+
+/* part 2; combination; mixing and prediction 2. */
+BATTERY_INLINE void battery_part_6(const double *apart, const double *limits, double *apart_most)
+{
+    const double t0 = (limits[0] * (apart[0] * apart[0])) + (limits[1] * (apart[1] * apart[1]));
+    const double t1 = t0 + (limits[2] * (apart[2] * apart[2]));
+    apart_most[0] = 1.0 / (t1 + (limits[3] * (apart[3] * apart[3])) + BATTERY_TINY);
+}
+
+/* combination; mixing and prediction of every mode. */
+BATTERY_INLINE void battery_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
+    const double *limits, const double *combined_0_1_covariance,
+    const double *combined_2_3_covariance, double *combined_0_3_covariance)
+{
+    double combined_0_3_apart[4];
+    double combined_0_3_apart_most;
+    double combined_0_3_factor;
+    battery_part_4(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_0_3_apart);
+    battery_part_6(combined_0_3_apart, limits, &combined_0_3_apart_most);
+    const double t0 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_factor = (t0 < combined_0_3_apart_most) ? t0 : combined_0_3_apart_most;
+    const double t1 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t2 = t1 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t3 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
+    combined_0_3_covariance[0] = t2 + t3;
+    const double t4 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t5 = t4 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t6 = combined_0_3_factor * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t5 + (t6 * combined_0_3_apart[0]);
+    const double t7 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t8 = t7 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t8 + (t6 * combined_0_3_apart[1]);
+    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t11 = combined_0_3_factor * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t10 + (t11 * combined_0_3_apart[0]);
+    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t13 = t12 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t13 + (t11 * combined_0_3_apart[1]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t15 + (t11 * combined_0_3_apart[2]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[6];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[6]);
+    const double t18 = combined_0_3_factor * combined_0_3_apart[3];
+    combined_0_3_covariance[6] = t17 + (t18 * combined_0_3_apart[0]);
+    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[7];
+    const double t20 = t19 + (combined_0_3_share[1] * combined_2_3_covariance[7]);
+    combined_0_3_covariance[7] = t20 + (t18 * combined_0_3_apart[1]);
+    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[8];
+    const double t22 = t21 + (combined_0_3_share[1] * combined_2_3_covariance[8]);
+    combined_0_3_covariance[8] = t22 + (t18 * combined_0_3_apart[2]);
+    const double t23 = combined_0_3_share[0] * combined_0_1_covariance[9];
+    const double t24 = t23 + (combined_0_3_share[1] * combined_2_3_covariance[9]);
+    combined_0_3_covariance[9] = t24 + (t18 * combined_0_3_apart[3]);
+}
+
 /* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_2(const double *mixed_share,
+BATTERY_INLINE void battery_mixing_and_prediction(const double *mixed_share,
     const double *mode_filtered_covariance, const double mixed_factor,
     const double *mixed_apart_squared, double *mixed_covariance)
 {
@@ -582,7 +450,7 @@ BATTERY_INLINE void battery_mixing_and_prediction_2(const double *mixed_share,
     mixed_covariance[4] = t9 + (mixed_factor * mixed_apart_squared[4]);
 }
 
-/* mixing and prediction of every mode; combined prediction; combination. */
+/* combined prediction; combination; mixing and prediction 2. */
 BATTERY_INLINE void battery_part_5(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
@@ -610,27 +478,23 @@ BATTERY_INLINE void battery_combination_2(const double *combined_share, const do
 
 /* combination. */
 BATTERY_INLINE void battery_combination(const double *weight, const double *mean,
-    const double *mean_2, double *combined_mean, const double *covariance,
-    const double *covariance_2, double *combined_within, double *combined_covariance)
+    const double *mean_2, double *combined_mean, const double *combined_limits,
+    const double *covariance, const double *covariance_2, double *combined_covariance)
 {
     double combined_inverse;
     double combined_share[2];
-    double combined_factor;
     double combined_apart[4];
+    double combined_apart_most;
     double combined_apart_squared[10];
+    double combined_factor;
     combined_inverse = 1.0 / (weight[0] + weight[1] + BATTERY_TINY);
     combined_share[0] = weight[0] * combined_inverse;
     combined_share[1] = weight[1] * combined_inverse;
-    battery_part_7(combined_share, mean, mean_2, combined_mean);
-    const double t0 = combined_share[0] * covariance[0];
-    combined_within[0] = t0 + (combined_share[1] * covariance_2[0]);
-    const double t1 = combined_share[0] * covariance[2];
-    combined_within[1] = t1 + (combined_share[1] * covariance_2[2]);
-    const double t2 = combined_share[0] * covariance[5];
-    combined_within[2] = t2 + (combined_share[1] * covariance_2[5]);
-    battery_part_3(combined_share, covariance[9], covariance_2[9], combined_within,
-        &combined_factor, mean, mean_2, combined_apart);
+    battery_part_4(combined_share, mean, mean_2, combined_mean, combined_apart);
+    battery_part_6(combined_apart, combined_limits, &combined_apart_most);
     battery_part_5(combined_apart, combined_apart_squared);
+    const double t0 = combined_share[0] * combined_share[1];
+    combined_factor = (t0 < combined_apart_most) ? t0 : combined_apart_most;
     battery_combination_2(combined_share, covariance, covariance_2, combined_factor,
         combined_apart_squared, combined_covariance);
     battery_combination_2(combined_share, &covariance[2], &covariance_2[2], combined_factor,
@@ -690,8 +554,62 @@ BATTERY_INLINE battery_status_t battery_mode_2(const double innovation_0, double
     return BATTERY_OK;
 }
 
+/* mixing and prediction of every mode; mixing and prediction 2. */
+BATTERY_INLINE void battery_mixing_and_prediction_3(const double *path_share,
+    const double path_share_inverse, double *mixed_share, const double *mode_filtered_state,
+    double *mixed_mean)
+{
+    double mixed_inverse;
+    const double t0 = (path_share[0] * path_share_inverse) + (path_share[1] * path_share_inverse);
+    mixed_inverse = 1.0 / (t0 + BATTERY_TINY);
+    mixed_share[0] = path_share[0] * path_share_inverse * mixed_inverse;
+    mixed_share[1] = path_share[1] * path_share_inverse * mixed_inverse;
+    const double t1 = mixed_share[0] * mode_filtered_state[0];
+    mixed_mean[0] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t2 + (mixed_share[1] * mode_filtered_state[5]);
+    const double t3 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t3 + (mixed_share[1] * mode_filtered_state[6]);
+    const double t4 = mixed_share[0] * mode_filtered_state[3];
+    mixed_mean[3] = t4 + (mixed_share[1] * mode_filtered_state[7]);
+}
+
+/* mixing and prediction of every mode; mixing and prediction 2. */
+BATTERY_INLINE void battery_mixing_and_prediction_6(const double *mixed_share,
+    const double mixed_apart_most, const double *mode_filtered_covariance,
+    const double *mixed_apart_squared, double *mixed_covariance)
+{
+    double mixed_factor;
+    const double t0 = mixed_share[0] * mixed_share[1];
+    mixed_factor = (t0 < mixed_apart_most) ? t0 : mixed_apart_most;
+    battery_mixing_and_prediction(mixed_share, mode_filtered_covariance, mixed_factor,
+        mixed_apart_squared, mixed_covariance);
+    battery_mixing_and_prediction(mixed_share, &mode_filtered_covariance[5], mixed_factor,
+        &mixed_apart_squared[5], &mixed_covariance[5]);
+}
+
+/* mixing and prediction of every mode. */
+BATTERY_INLINE void battery_mixing_and_prediction_2(const double *path_share_0,
+    const double path_share_inverse_0, const double *mode_filtered_state, double *mixed_0_mean,
+    const double *mixed_limits, double *mixed_apart_most, double *mixed_apart_squared,
+    const double *mode_filtered_covariance, double *mixed_0_covariance)
+{
+    double mixed_0_share[2];
+    double mixed_apart[4];
+    battery_mixing_and_prediction_3(path_share_0, path_share_inverse_0, mixed_0_share,
+        mode_filtered_state, mixed_0_mean);
+    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[4];
+    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[5];
+    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[6];
+    mixed_apart[3] = mode_filtered_state[3] - mode_filtered_state[7];
+    battery_part_6(mixed_apart, mixed_limits, mixed_apart_most);
+    battery_part_5(mixed_apart, mixed_apart_squared);
+    battery_mixing_and_prediction_6(mixed_0_share, mixed_apart_most[0], mode_filtered_covariance,
+        mixed_apart_squared, mixed_0_covariance);
+}
+
 /* correct; propagate. */
-BATTERY_INLINE battery_status_t battery_part_4(const battery_params_t *params)
+BATTERY_INLINE battery_status_t battery_part_3(const battery_params_t *params)
 {
     const double t0 = 60.0 - params->dt;
     const double t1 = battery_exp(-(params->dt / 300.0));
@@ -764,7 +682,7 @@ BATTERY_INLINE void battery_law_of_the_next(const double *mode_probability, cons
 }
 
 /* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_3(const double *moved, double *moved_state,
+BATTERY_INLINE void battery_mixing_and_prediction_4(const double *moved, double *moved_state,
     const double *mixed_0_3_mean, const double *mixed_0_3_covariance, const double *Q,
     double *moved_covariance)
 {
@@ -790,17 +708,6 @@ BATTERY_INLINE void battery_mixing_and_prediction_3(const double *moved, double 
     moved_covariance[8] = mixed_0_3_covariance[8];
 }
 
-/* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_4(const double *mixed_share,
-    const double *mode_filtered_covariance, const double mixed_factor,
-    const double *mixed_apart_squared, double *mixed_covariance)
-{
-    battery_mixing_and_prediction_2(mixed_share, mode_filtered_covariance, mixed_factor,
-        mixed_apart_squared, mixed_covariance);
-    battery_mixing_and_prediction_2(mixed_share, &mode_filtered_covariance[5], mixed_factor,
-        &mixed_apart_squared[5], &mixed_covariance[5]);
-}
-
 /* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 1: innovation, row by
  * row. */
 BATTERY_INLINE void battery_mode_4(const double *y, double *innovation_0, const double seen,
@@ -822,28 +729,28 @@ BATTERY_INLINE void battery_mode_4(const double *y, double *innovation_0, const 
 }
 
 /* mixing and prediction of every mode. */
-BATTERY_INLINE void battery_mixing_and_prediction_5(const double *path_share_0,
-    const double path_share_inverse_0, const double *mode_filtered_state, double *mixed_0_mean,
-    const double *mode_filtered_covariance, double *mixed_0_within, double *mixed_apart_squared,
-    double *mixed_0_covariance)
+BATTERY_INLINE void battery_mixing_and_prediction_5(const double *mode_filtered_covariance,
+    double *mixed_limits)
 {
-    double mixed_0_share[2];
-    double mixed_0_factor;
-    double mixed_apart[4];
-    battery_mixing_and_prediction(path_share_0, path_share_inverse_0, mixed_0_share,
-        mode_filtered_state, mixed_0_mean, mode_filtered_covariance, mixed_0_within,
-        &mixed_0_factor);
-    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[4];
-    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[5];
-    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[6];
-    mixed_apart[3] = mode_filtered_state[3] - mode_filtered_state[7];
-    battery_part_5(mixed_apart, mixed_apart_squared);
-    battery_mixing_and_prediction_4(mixed_0_share, mode_filtered_covariance, mixed_0_factor,
-        mixed_apart_squared, mixed_0_covariance);
+    const double t0 = mode_filtered_covariance[0] + mode_filtered_covariance[10];
+    const double t1 = t0 + mode_filtered_covariance[20] + mode_filtered_covariance[30];
+    const double t2 = 1000000000.0 * t1;
+    const double t3 = (t2 <= 0.0) ? 1.0 : 0.0;
+    mixed_limits[0] = (1.0 - t3) / (t2 + t3);
+}
+
+/* combination. */
+BATTERY_INLINE void battery_combination_3(const double covariance_m0, const double covariance_m1,
+    const double covariance_m2, const double covariance_m3, double *combined_limits)
+{
+    const double t0 = covariance_m0 + covariance_m1 + covariance_m2 + covariance_m3;
+    const double t1 = 1000000000.0 * t0;
+    const double t2 = (t1 <= 0.0) ? 1.0 : 0.0;
+    combined_limits[0] = (1.0 - t2) / (t1 + t2);
 }
 
 /* mixing and prediction of every mode: linearisation. */
-BATTERY_INLINE void battery_mixing_and_prediction_6(const double *mixed_0_3_mean, double *moved,
+BATTERY_INLINE void battery_mixing_and_prediction_7(const double *mixed_0_3_mean, double *moved,
     const battery_params_t *params)
 {
     const double t0 = mixed_0_3_mean[2] * params->dt;
@@ -874,7 +781,7 @@ BATTERY_INLINE void battery_combined_prediction(const double *moved_covariance_0
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carried_69)
+BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carried_68)
 {
     const double t0 = (mode_state[0] < 0.0) ? 3.051 : 0.0;
     const double t1 = (0.0 <= mode_state[0]) ? 1.0 : 0.0;
@@ -980,7 +887,7 @@ BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carr
     const double t101 = t100 + 0.9178734558915858;
     const double t102 = (t97 > 0.0) ? ((t98 > 0.0) ? (4.182 + (t101 * t99)) : 0.0) : 0.0;
     const double t103 = t96 + t102 + ((1.3002 <= mode_state[0]) ? 4.4574 : 0.0);
-    carried_69[35] = t103 + (mode_state[3] * mode_state[2]) + mode_state[1];
+    carried_68[35] = t103 + (mode_state[3] * mode_state[2]) + mode_state[1];
     const double t104 = t101 + t100 + (0.00038974633775396613 * (t99 * t99));
     const double t105 = (t98 > 0.0) ? ((t97 > 0.0) ? t104 : 0.0) : 0.0;
     const double t106 = (t90 > 0.0) ? (t94 + t93 + (-36.24070191386395 * (t92 * t92))) : 0.0;
@@ -996,47 +903,47 @@ BATTERY_INLINE void battery_linearisation(const double *mode_state, double *carr
     const double t116 = (t55 > 0.0) ? (t59 + t58 + (8.895841831346877 * (t57 * t57))) : 0.0;
     const double t117 = t115 + ((t56 > 0.0) ? t116 : 0.0);
     const double t118 = (t49 > 0.0) ? (t53 + t52 + (-10.07602629462888 * (t51 * t51))) : 0.0;
-    carried_69[36] = t117 + ((t50 > 0.0) ? t118 : 0.0);
-    carried_69[37] = (t43 > 0.0) ? (t47 + t46 + (23.309034510309303 * (t45 * t45))) : 0.0;
-    carried_69[0] = t1;
-    carried_69[1] = t2;
-    carried_69[2] = t3;
-    carried_69[3] = t4;
-    carried_69[4] = t7;
-    carried_69[5] = t8;
-    carried_69[6] = t9;
-    carried_69[7] = t10;
-    carried_69[8] = t11;
-    carried_69[9] = t13;
-    carried_69[10] = t14;
-    carried_69[11] = t15;
-    carried_69[12] = t16;
-    carried_69[13] = t17;
-    carried_69[14] = t19;
-    carried_69[15] = t20;
-    carried_69[16] = t21;
-    carried_69[17] = t22;
-    carried_69[18] = t23;
-    carried_69[19] = t25;
-    carried_69[20] = t26;
-    carried_69[21] = t27;
-    carried_69[22] = t28;
-    carried_69[23] = t29;
-    carried_69[24] = t31;
-    carried_69[25] = t32;
-    carried_69[26] = t33;
-    carried_69[27] = t34;
-    carried_69[28] = t35;
-    carried_69[29] = t37;
-    carried_69[30] = t38;
-    carried_69[31] = t39;
-    carried_69[32] = t40;
-    carried_69[33] = t41;
-    carried_69[34] = t44;
+    carried_68[36] = t117 + ((t50 > 0.0) ? t118 : 0.0);
+    carried_68[37] = (t43 > 0.0) ? (t47 + t46 + (23.309034510309303 * (t45 * t45))) : 0.0;
+    carried_68[0] = t1;
+    carried_68[1] = t2;
+    carried_68[2] = t3;
+    carried_68[3] = t4;
+    carried_68[4] = t7;
+    carried_68[5] = t8;
+    carried_68[6] = t9;
+    carried_68[7] = t10;
+    carried_68[8] = t11;
+    carried_68[9] = t13;
+    carried_68[10] = t14;
+    carried_68[11] = t15;
+    carried_68[12] = t16;
+    carried_68[13] = t17;
+    carried_68[14] = t19;
+    carried_68[15] = t20;
+    carried_68[16] = t21;
+    carried_68[17] = t22;
+    carried_68[18] = t23;
+    carried_68[19] = t25;
+    carried_68[20] = t26;
+    carried_68[21] = t27;
+    carried_68[22] = t28;
+    carried_68[23] = t29;
+    carried_68[24] = t31;
+    carried_68[25] = t32;
+    carried_68[26] = t33;
+    carried_68[27] = t34;
+    carried_68[28] = t35;
+    carried_68[29] = t37;
+    carried_68[30] = t38;
+    carried_68[31] = t39;
+    carried_68[32] = t40;
+    carried_68[33] = t41;
+    carried_68[34] = t44;
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *carried_66)
+BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *carried_65)
 {
     const double t0 = (mode_state[0] < 0.0) ? 3.051 : 0.0;
     const double t1 = (0.0 <= mode_state[0]) ? 1.0 : 0.0;
@@ -1158,7 +1065,7 @@ BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *ca
     const double t117 = (t116 * t114) + 0.9178734558915858;
     const double t118 = (t112 > 0.0) ? ((t113 > 0.0) ? (4.182 + (t117 * t114)) : 0.0) : 0.0;
     const double t119 = t111 + t118 + ((1.3002 <= mode_state[0]) ? 4.4574 : 0.0);
-    carried_66[34] = t119 + (mode_state[3] * mode_state[2]) + mode_state[1];
+    carried_65[34] = t119 + (mode_state[3] * mode_state[2]) + mode_state[1];
     const double t120 = (t1 > 0.0) ? ((t2 > 0.0) ? ((mode_state[0] * (t3 + t4)) + t5) : 0.0) : 0.0;
     const double t121 = (t8 > 0.0) ? ((t9 > 0.0) ? ((t10 * (t11 + t12)) + t13) : 0.0) : 0.0;
     const double t122 = t120 + t121;
@@ -1177,252 +1084,213 @@ BATTERY_INLINE void battery_linearisation_2(const double *mode_state, double *ca
     const double t135 = (t57 > 0.0) ? ((t58 > 0.0) ? ((t59 * (t60 + t61)) + t62) : 0.0) : 0.0;
     const double t136 = t134 + t135;
     const double t137 = (t64 > 0.0) ? ((t65 > 0.0) ? ((t66 * (t67 + t68)) + t69) : 0.0) : 0.0;
-    carried_66[35] = t136 + t137;
-    carried_66[36] = t75 + t76;
-    carried_66[0] = t72;
-    carried_66[1] = t73;
-    carried_66[2] = t74;
-    carried_66[3] = t77;
-    carried_66[4] = t80;
-    carried_66[5] = t81;
-    carried_66[6] = t82;
-    carried_66[7] = t83;
-    carried_66[8] = t84;
-    carried_66[9] = t85;
-    carried_66[10] = t88;
-    carried_66[11] = t89;
-    carried_66[12] = t90;
-    carried_66[13] = t91;
-    carried_66[14] = t92;
-    carried_66[15] = t93;
-    carried_66[16] = t96;
-    carried_66[17] = t97;
-    carried_66[18] = t98;
-    carried_66[19] = t99;
-    carried_66[20] = t100;
-    carried_66[21] = t101;
-    carried_66[22] = t104;
-    carried_66[23] = t105;
-    carried_66[24] = t106;
-    carried_66[25] = t107;
-    carried_66[26] = t108;
-    carried_66[27] = t109;
-    carried_66[28] = t112;
-    carried_66[29] = t113;
-    carried_66[30] = t114;
-    carried_66[31] = t115;
-    carried_66[32] = t116;
-    carried_66[33] = t117;
+    carried_65[35] = t136 + t137;
+    carried_65[36] = t75 + t76;
+    carried_65[0] = t72;
+    carried_65[1] = t73;
+    carried_65[2] = t74;
+    carried_65[3] = t77;
+    carried_65[4] = t80;
+    carried_65[5] = t81;
+    carried_65[6] = t82;
+    carried_65[7] = t83;
+    carried_65[8] = t84;
+    carried_65[9] = t85;
+    carried_65[10] = t88;
+    carried_65[11] = t89;
+    carried_65[12] = t90;
+    carried_65[13] = t91;
+    carried_65[14] = t92;
+    carried_65[15] = t93;
+    carried_65[16] = t96;
+    carried_65[17] = t97;
+    carried_65[18] = t98;
+    carried_65[19] = t99;
+    carried_65[20] = t100;
+    carried_65[21] = t101;
+    carried_65[22] = t104;
+    carried_65[23] = t105;
+    carried_65[24] = t106;
+    carried_65[25] = t107;
+    carried_65[26] = t108;
+    carried_65[27] = t109;
+    carried_65[28] = t112;
+    carried_65[29] = t113;
+    carried_65[30] = t114;
+    carried_65[31] = t115;
+    carried_65[32] = t116;
+    carried_65[33] = t117;
 }
 
-/* mode 0: signal, R: innovation, row by row. */
-BATTERY_INLINE battery_status_t battery_mode_6(const double *y, const double *mode_state,
-    const double *seen, double *mean_m0, const double *mode_covariance, double *covariance_m0,
-    double *mean_m1, double *covariance_m1, double *mean_m2, double *covariance_m2, double *mean_m3,
-    double *covariance_m3, const double *predicted_mode_probability, double *weight,
-    const double *predicted_log_weight, double *log_weight_now, double *log_evidence,
-    double *combined_variance, double *combined_innovation, double *whitening_inverse_combined_0,
-    double *whitening_combined_0_1, double *whitening_inverse_combined_1, uint32_t present)
+/* innovation of the mixture. */
+BATTERY_INLINE battery_status_t battery_innovation_of_the_mixture(const double *mode_state,
+    const double *seen, const double *predicted_mode_probability, const double pivot_m0_0,
+    const double pivot_m1_0, const double coupling_m0_0, const double coupling_m1_0,
+    const double factor_m0_0, const double pivot_m0_1, const double factor_m1_0,
+    const double pivot_m1_1, const double pivot_m2_1, const double pivot_m3_1,
+    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
+    const double innovation_m3_0, const double innovation_m0_1, const double innovation_m1_1,
+    const double innovation_m2_1, const double innovation_m3_1, const double *covariance_m0,
+    const double *covariance_m1, const double *covariance_m2, const double *covariance_m3,
+    const double *weight, const double *mean_m0, const double *mean_m1, const double *mean_m2,
+    const double *mean_m3, const double *log_weight_now, const double log_evidence,
+    double *innovation, double *innovation_covariance, double *nis, double *mode_probability,
+    double *log_weight, double *log_likelihood, double *filtered_state, double *filtered_covariance,
+    double *mode_filtered_state, double *mode_filtered_covariance, uint32_t present)
 {
-    double innovation_m0_0 = 0.0;
-    double innovation_m0_1 = 0.0;
-    double coupling_m0_0;
-    double pivot_m0_0;
-    double factor_m0_0 = 0.0;
-    double pivot_m0_1 = 0.0;
-    double log_density_m0 = 0.0;
-    double innovation_m1_0 = 0.0;
-    double innovation_m1_1 = 0.0;
-    double coupling_m1_0;
-    double pivot_m1_0;
-    double factor_m1_0 = 0.0;
-    double pivot_m1_1 = 0.0;
-    double log_density_m1 = 0.0;
-    double innovation_m2_0 = 0.0;
-    double innovation_m2_1 = 0.0;
-    double quadratic_m2 = 0.0;
-    double log_constant_m2 = 0.0;
-    double pivot_m2_1;
-    double determinant_m2_0 = 1.0;
-    double log_density_m2;
-    double innovation_m3_0 = 0.0;
-    double innovation_m3_1 = 0.0;
-    double quadratic_m3 = 0.0;
-    double log_constant_m3 = 0.0;
-    double pivot_m3_1;
-    double determinant_m3_0 = 1.0;
-    double log_density_m3;
-    double log_joint[4] = { 0.0 };
-    double log_largest = 0.0;
-    double share_of_largest[4] = { 0.0 };
-    double share_total = 0.0;
-    double share_total_inverse = 0.0;
-    double log_share_total = 0.0;
     double predicted_y_m0[2];
     double predicted_y_m1[2];
     double predicted_y_m2[2];
     double predicted_y_m3[2];
+    double combined_variance[3];
+    double combined_innovation[2];
     double whitening_pivot_combined_0;
+    double whitening_inverse_combined_0 = 0.0;
+    double whitening_combined_0_1;
     double whitening_pivot_combined_1;
-    battery_status_t status;
-
-    /* mode 0: signal, R: innovation, row by row */
-    status = battery_mode(y, mode_state, &innovation_m0_0, seen, &innovation_m0_1, mean_m0,
-        mode_covariance, covariance_m0, &coupling_m0_0, &pivot_m0_0, &factor_m0_0, &pivot_m0_1,
-        &log_density_m0, present);
-    if (status != BATTERY_OK) { return status; }
-
-    /* mode 1: signal, noise x 1: innovation, row by row */
-    status = battery_mode(y, &mode_state[4], &innovation_m1_0, &seen[2], &innovation_m1_1, mean_m1,
-        &mode_covariance[10], covariance_m1, &coupling_m1_0, &pivot_m1_0, &factor_m1_0, &pivot_m1_1,
-        &log_density_m1, present);
-    if (status != BATTERY_OK) { return status; }
-
-    /* mode 2: no signal, R: innovation, row by row */
-    battery_mode_4(y, &innovation_m2_0, seen[4], &innovation_m2_1, &mode_state[8], mean_m2,
-        &mode_covariance[20], covariance_m2, present);
-
-    /* mode 2: no signal, R: row 0 of y, sensor */
-    status = battery_mode_2(innovation_m2_0, &quadratic_m2, &log_constant_m2, &mode_covariance[20],
-        seen[5], &mode_state[8], &pivot_m2_1, innovation_m2_1, &determinant_m2_0, mean_m2,
-        covariance_m2, present);
-    if (status != BATTERY_OK) { return status; }
-
-    /* mode 2: no signal, R */
-    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + battery_log(determinant_m2_0)));
-
-    /* mode 3: no signal, noise x 1: innovation, row by row */
-    battery_mode_4(y, &innovation_m3_0, seen[6], &innovation_m3_1, &mode_state[12], mean_m3,
-        &mode_covariance[30], covariance_m3, present);
-
-    /* mode 3: no signal, noise x 1: row 0 of y, sensor */
-    status = battery_mode_2(innovation_m3_0, &quadratic_m3, &log_constant_m3, &mode_covariance[30],
-        seen[7], &mode_state[12], &pivot_m3_1, innovation_m3_1, &determinant_m3_0, mean_m3,
-        covariance_m3, present);
-    if (status != BATTERY_OK) { return status; }
-
-    /* mode 3: no signal, noise x 1 */
-    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + battery_log(determinant_m3_0)));
-
-    /* probabilities of the modes */
-    battery_copy(predicted_mode_probability, weight, 4);
-    battery_copy(predicted_log_weight, log_weight_now, 4);
-    if ((present) != 0u)
-    {
-        log_joint[0] = predicted_log_weight[0] + log_density_m0;
-        log_joint[1] = predicted_log_weight[1] + log_density_m1;
-        log_joint[2] = predicted_log_weight[2] + log_density_m2;
-        log_joint[3] = predicted_log_weight[3] + log_density_m3;
-        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
-        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
-        share_of_largest[0] = battery_exp(log_joint[0] - log_largest);
-        share_of_largest[1] = battery_exp(log_joint[1] - log_largest);
-        share_of_largest[2] = battery_exp(log_joint[2] - log_largest);
-        share_of_largest[3] = battery_exp(log_joint[3] - log_largest);
-        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
-        share_total = t2 + share_of_largest[3];
-        const double t3 = log_largest - BATTERY_LEAST_LOG_DENSITY;
-        if (!(t3 > 0.0)) { return BATTERY_RESULT_NOT_FINITE; }
-        if (!battery_finite(battery_defect(share_total))) { return BATTERY_RESULT_NOT_FINITE; }
-        share_total_inverse = 1.0 / share_total;
-        log_share_total = battery_log(share_total);
-        weight[0] = share_of_largest[0] * share_total_inverse;
-        weight[1] = share_of_largest[1] * share_total_inverse;
-        weight[2] = share_of_largest[2] * share_total_inverse;
-        weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t4 = (log_joint[0] - log_largest) - log_share_total;
-        log_weight_now[0] = (t4 > BATTERY_LOG_ZERO) ? t4 : BATTERY_LOG_ZERO;
-        const double t5 = (log_joint[1] - log_largest) - log_share_total;
-        log_weight_now[1] = (t5 > BATTERY_LOG_ZERO) ? t5 : BATTERY_LOG_ZERO;
-        const double t6 = (log_joint[2] - log_largest) - log_share_total;
-        log_weight_now[2] = (t6 > BATTERY_LOG_ZERO) ? t6 : BATTERY_LOG_ZERO;
-        const double t7 = (log_joint[3] - log_largest) - log_share_total;
-        log_weight_now[3] = (t7 > BATTERY_LOG_ZERO) ? t7 : BATTERY_LOG_ZERO;
-        log_evidence[0] = log_largest + log_share_total;
-    }
+    double whitening_inverse_combined_1 = 0.0;
+    double combined_limits[4];
+    double combined_0_3_share[2];
+    double combined_0_1_mean[4];
+    double combined_0_1_covariance[10];
+    double combined_2_3_mean[4];
+    double combined_2_3_covariance[10];
+    double combined_0_3_mean[4];
+    double combined_0_3_covariance[10];
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = mode_state[2];
+    predicted_y_m0[0] = mode_state[0];
     predicted_y_m0[1] = seen[0];
-    predicted_y_m1[0] = mode_state[6];
+    predicted_y_m1[0] = mode_state[4];
     predicted_y_m1[1] = seen[2];
     predicted_y_m2[0] = 0.0;
     predicted_y_m2[1] = seen[4];
     predicted_y_m3[0] = 0.0;
     predicted_y_m3[1] = seen[6];
-    const double t8 = predicted_mode_probability[0] * pivot_m0_0;
-    const double t9 = t8 + (predicted_mode_probability[1] * pivot_m1_0);
-    const double t10 = t9 + (0.0025 * predicted_mode_probability[2]);
-    const double t11 = t10 + (0.0025 * predicted_mode_probability[3]);
-    const double t12 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t13 = t12 + (predicted_mode_probability[1] * predicted_y_m1[0]);
-    const double t14 = t13 + (predicted_mode_probability[2] * predicted_y_m2[0]);
-    const double t15 = t14 + (predicted_mode_probability[3] * predicted_y_m3[0]);
-    const double t16 = predicted_y_m0[0] - t15;
-    const double t17 = predicted_mode_probability[0] * t16 * t16;
-    const double t18 = predicted_y_m1[0] - t15;
-    const double t19 = t17 + (predicted_mode_probability[1] * t18 * t18);
-    const double t20 = predicted_y_m2[0] - t15;
-    const double t21 = t19 + (predicted_mode_probability[2] * t20 * t20);
-    const double t22 = predicted_y_m3[0] - t15;
-    combined_variance[0] = t11 + (t21 + (predicted_mode_probability[3] * t22 * t22));
-    const double t23 = predicted_mode_probability[0] * coupling_m0_0;
-    const double t24 = t23 + (predicted_mode_probability[1] * coupling_m1_0);
-    const double t25 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t26 = t25 + (predicted_mode_probability[1] * predicted_y_m1[1]);
-    const double t27 = t26 + (predicted_mode_probability[2] * predicted_y_m2[1]);
-    const double t28 = t27 + (predicted_mode_probability[3] * predicted_y_m3[1]);
-    const double t29 = predicted_y_m0[1] - t28;
-    const double t30 = predicted_mode_probability[0] * t29;
-    const double t31 = t30 * t16;
-    const double t32 = predicted_y_m1[1] - t28;
-    const double t33 = predicted_mode_probability[1] * t32;
-    const double t34 = t31 + (t33 * t18);
-    const double t35 = predicted_y_m2[1] - t28;
-    const double t36 = predicted_mode_probability[2] * t35;
-    const double t37 = t34 + (t36 * t20);
-    const double t38 = predicted_y_m3[1] - t28;
-    const double t39 = predicted_mode_probability[3] * t38;
-    combined_variance[1] = t24 + (t37 + (t39 * t22));
-    const double t40 = pivot_m0_1 + (coupling_m0_0 * factor_m0_0);
-    const double t41 = predicted_mode_probability[0] * t40;
-    const double t42 = pivot_m1_1 + (coupling_m1_0 * factor_m1_0);
-    const double t43 = t41 + (predicted_mode_probability[1] * t42);
-    const double t44 = t43 + (predicted_mode_probability[2] * pivot_m2_1);
-    const double t45 = t44 + (predicted_mode_probability[3] * pivot_m3_1);
-    combined_variance[2] = t45 + ((t30 * t29) + (t33 * t32) + (t36 * t35) + (t39 * t38));
-    const double t46 = predicted_mode_probability[0] * innovation_m0_0;
-    const double t47 = t46 + (predicted_mode_probability[1] * innovation_m1_0);
-    const double t48 = t47 + (predicted_mode_probability[2] * innovation_m2_0);
-    combined_innovation[0] = t48 + (predicted_mode_probability[3] * innovation_m3_0);
-    const double t49 = predicted_mode_probability[0] * innovation_m0_1;
-    const double t50 = t49 + (predicted_mode_probability[1] * innovation_m1_1);
-    const double t51 = t50 + (predicted_mode_probability[2] * innovation_m2_1);
-    combined_innovation[1] = t51 + (predicted_mode_probability[3] * innovation_m3_1);
-    const double t52 = 1.7763568394002505e-15 * combined_variance[0];
-    whitening_pivot_combined_0 = (combined_variance[0] > t52) ? combined_variance[0] : t52;
+    const double t0 = predicted_mode_probability[0] * pivot_m0_0;
+    const double t1 = t0 + (predicted_mode_probability[1] * pivot_m1_0);
+    const double t2 = t1 + (0.0025 * predicted_mode_probability[2]);
+    const double t3 = t2 + (0.0025 * predicted_mode_probability[3]);
+    const double t4 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t5 = t4 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t6 = t5 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t7 = t6 + (predicted_mode_probability[3] * predicted_y_m3[0]);
+    const double t8 = predicted_y_m0[0] - t7;
+    const double t9 = predicted_mode_probability[0] * t8 * t8;
+    const double t10 = predicted_y_m1[0] - t7;
+    const double t11 = t9 + (predicted_mode_probability[1] * t10 * t10);
+    const double t12 = predicted_y_m2[0] - t7;
+    const double t13 = t11 + (predicted_mode_probability[2] * t12 * t12);
+    const double t14 = predicted_y_m3[0] - t7;
+    combined_variance[0] = t3 + (t13 + (predicted_mode_probability[3] * t14 * t14));
+    const double t15 = predicted_mode_probability[0] * coupling_m0_0;
+    const double t16 = t15 + (predicted_mode_probability[1] * coupling_m1_0);
+    const double t17 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t18 = t17 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t19 = t18 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t20 = t19 + (predicted_mode_probability[3] * predicted_y_m3[1]);
+    const double t21 = predicted_y_m0[1] - t20;
+    const double t22 = predicted_mode_probability[0] * t21;
+    const double t23 = t22 * t8;
+    const double t24 = predicted_y_m1[1] - t20;
+    const double t25 = predicted_mode_probability[1] * t24;
+    const double t26 = t23 + (t25 * t10);
+    const double t27 = predicted_y_m2[1] - t20;
+    const double t28 = predicted_mode_probability[2] * t27;
+    const double t29 = t26 + (t28 * t12);
+    const double t30 = predicted_y_m3[1] - t20;
+    const double t31 = predicted_mode_probability[3] * t30;
+    combined_variance[1] = t16 + (t29 + (t31 * t14));
+    const double t32 = predicted_mode_probability[0] * (pivot_m0_1 + (coupling_m0_0 * factor_m0_0));
+    const double t33 = predicted_mode_probability[1] * (pivot_m1_1 + (coupling_m1_0 * factor_m1_0));
+    const double t34 = t32 + t33 + (predicted_mode_probability[2] * pivot_m2_1);
+    const double t35 = t34 + (predicted_mode_probability[3] * pivot_m3_1);
+    combined_variance[2] = t35 + ((t22 * t21) + (t25 * t24) + (t28 * t27) + (t31 * t30));
+    const double t36 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t37 = t36 + (predicted_mode_probability[1] * innovation_m1_0);
+    const double t38 = t37 + (predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation[0] = t38 + (predicted_mode_probability[3] * innovation_m3_0);
+    const double t39 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t40 = t39 + (predicted_mode_probability[1] * innovation_m1_1);
+    const double t41 = t40 + (predicted_mode_probability[2] * innovation_m2_1);
+    combined_innovation[1] = t41 + (predicted_mode_probability[3] * innovation_m3_1);
+    whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
         if (!(whitening_pivot_combined_0 > 0.0)) { return BATTERY_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
-    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
-    const double t53 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
-    const double t54 = 1.7763568394002505e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t53 > t54) ? t53 : t54;
+    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
+    const double t42 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
+    const double t43 = 1.7763568394002505e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t42 > t43) ? t42 : t43;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return BATTERY_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_1[0] = 1.0 / whitening_pivot_combined_1;
+        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
+
+    /* combination */
+    battery_combination_3(covariance_m0[0], covariance_m1[0], covariance_m2[0], covariance_m3[0],
+        combined_limits);
+    battery_combination_3(covariance_m0[2], covariance_m1[2], covariance_m2[2], covariance_m3[2],
+        &combined_limits[1]);
+    battery_combination_3(covariance_m0[5], covariance_m1[5], covariance_m2[5], covariance_m3[5],
+        &combined_limits[2]);
+    battery_combination_3(covariance_m0[9], covariance_m1[9], covariance_m2[9], covariance_m3[9],
+        &combined_limits[3]);
+    combined_0_3_share[0] = weight[0] + weight[1];
+    combined_0_3_share[1] = weight[2] + weight[3];
+    battery_combination(weight, mean_m0, mean_m1, combined_0_1_mean, combined_limits, covariance_m0,
+        covariance_m1, combined_0_1_covariance);
+    battery_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, combined_limits,
+        covariance_m2, covariance_m3, combined_2_3_covariance);
+    battery_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_limits, combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
+    if (!battery_finite((battery_defect(combined_0_3_mean[0]) +
+        battery_defect(combined_0_3_mean[1])) + (battery_defect(combined_0_3_mean[2]) +
+        battery_defect(combined_0_3_mean[3]))))
+    {
+        return BATTERY_RESULT_NOT_FINITE;
+    }
+    const double t44 = combined_innovation[0] * combined_innovation[0];
+    const double t45 = t44 * whitening_inverse_combined_0;
+    const double t46 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t47 = t45 + (t46 * t46 * whitening_inverse_combined_1);
+    if (!battery_finite((((battery_defect(combined_variance[0]) +
+        battery_defect(combined_variance[2])) + battery_defect(t47)) +
+        ((battery_defect(log_weight_now[0]) + battery_defect(log_weight_now[1])) +
+        battery_defect(log_weight_now[2]))) + (((battery_defect(log_weight_now[3]) +
+        battery_defect(log_evidence)) + battery_defect(combined_0_3_covariance[0])) +
+        ((battery_defect(combined_0_3_covariance[2]) + battery_defect(combined_0_3_covariance[5])) +
+        battery_defect(combined_0_3_covariance[9])))))
+    {
+        return BATTERY_RESULT_NOT_FINITE;
+    }
+    innovation[0] = combined_innovation[0];
+    innovation[1] = combined_innovation[1];
+    battery_copy(combined_variance, innovation_covariance, 3);
+    nis[0] = t47;
+    battery_copy(weight, mode_probability, 4);
+    battery_copy(log_weight_now, log_weight, 4);
+    log_likelihood[0] = log_evidence;
+    battery_copy(combined_0_3_mean, filtered_state, 4);
+    battery_copy(combined_0_3_covariance, filtered_covariance, 10);
+    battery_copy(mean_m0, mode_filtered_state, 4);
+    battery_copy(mean_m1, &mode_filtered_state[4], 4);
+    battery_copy(mean_m2, &mode_filtered_state[8], 4);
+    battery_copy(mean_m3, &mode_filtered_state[12], 4);
+    battery_copy(covariance_m0, mode_filtered_covariance, 10);
+    battery_copy(covariance_m1, &mode_filtered_covariance[10], 10);
+    battery_copy(covariance_m2, &mode_filtered_covariance[20], 10);
+    battery_copy(covariance_m3, &mode_filtered_covariance[30], 10);
     return BATTERY_OK;
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const double *carried_70,
-    const double carried_66, double *seen, const double carried_67, const double *carried_68,
-    const double carried_69)
+BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const double *carried_69,
+    const double carried_65, double *seen, const double carried_66, const double *carried_67,
+    const double carried_68)
 {
     const double t0 = (0.2697 <= mode_state[0]) ? 1.0 : 0.0;
     const double t1 = (mode_state[0] < 0.374) ? 1.0 : 0.0;
@@ -1430,7 +1298,7 @@ BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const doub
     const double t3 = ((-10.07602629462888 * t2) + 0.5477332775187211) * t2;
     const double t4 = t3 + 0.6948611269123725;
     const double t5 = (t0 > 0.0) ? ((t1 > 0.0) ? (3.802 + (t4 * t2)) : 0.0) : 0.0;
-    const double t6 = carried_70[40] + t5;
+    const double t6 = carried_69[40] + t5;
     const double t7 = (0.374 <= mode_state[0]) ? 1.0 : 0.0;
     const double t8 = (mode_state[0] < 0.4783) ? 1.0 : 0.0;
     const double t9 = mode_state[0] - 0.374;
@@ -1491,64 +1359,64 @@ BATTERY_INLINE void battery_linearisation_3(const double *mode_state, const doub
     const double t63 = t61 + ((t8 > 0.0) ? t62 : 0.0);
     const double t64 = (t0 > 0.0) ? (t4 + t3 + (-10.07602629462888 * (t2 * t2))) : 0.0;
     const double t65 = t63 + ((t1 > 0.0) ? t64 : 0.0);
-    const double t66 = carried_70[39] + carried_70[38];
-    const double t67 = t66 + (23.309034510309303 * (carried_70[37] * carried_70[37]));
-    const double t68 = (carried_70[36] > 0.0) ? ((carried_70[35] > 0.0) ? t67 : 0.0) : 0.0;
+    const double t66 = carried_69[39] + carried_69[38];
+    const double t67 = t66 + (23.309034510309303 * (carried_69[37] * carried_69[37]));
+    const double t68 = (carried_69[36] > 0.0) ? ((carried_69[35] > 0.0) ? t67 : 0.0) : 0.0;
     const double t69 = t65 + t68;
-    const double t70 = carried_70[34] + carried_70[33];
-    const double t71 = t70 + (23.201806179260856 * (carried_70[32] * carried_70[32]));
-    const double t72 = (carried_70[31] > 0.0) ? ((carried_70[30] > 0.0) ? t71 : 0.0) : 0.0;
+    const double t70 = carried_69[34] + carried_69[33];
+    const double t71 = t70 + (23.201806179260856 * (carried_69[32] * carried_69[32]));
+    const double t72 = (carried_69[31] > 0.0) ? ((carried_69[30] > 0.0) ? t71 : 0.0) : 0.0;
     const double t73 = t69 + t72;
-    const double t74 = carried_70[29] + carried_70[28];
-    const double t75 = t74 + (-1536.1652297027072 * (carried_70[27] * carried_70[27]));
-    const double t76 = (carried_70[26] > 0.0) ? ((carried_70[25] > 0.0) ? t75 : 0.0) : 0.0;
+    const double t74 = carried_69[29] + carried_69[28];
+    const double t75 = t74 + (-1536.1652297027072 * (carried_69[27] * carried_69[27]));
+    const double t76 = (carried_69[26] > 0.0) ? ((carried_69[25] > 0.0) ? t75 : 0.0) : 0.0;
     const double t77 = t73 + t76;
-    const double t78 = carried_70[24] + carried_70[23];
-    const double t79 = t78 + (-4614.861121502417 * (carried_70[22] * carried_70[22]));
-    const double t80 = (carried_70[21] > 0.0) ? ((carried_70[20] > 0.0) ? t79 : 0.0) : 0.0;
+    const double t78 = carried_69[24] + carried_69[23];
+    const double t79 = t78 + (-4614.861121502417 * (carried_69[22] * carried_69[22]));
+    const double t80 = (carried_69[21] > 0.0) ? ((carried_69[20] > 0.0) ? t79 : 0.0) : 0.0;
     const double t81 = t77 + t80;
-    const double t82 = carried_70[19] + carried_70[18];
-    const double t83 = t82 + (-948.4633516061084 * (carried_70[17] * carried_70[17]));
-    const double t84 = (carried_70[16] > 0.0) ? ((carried_70[15] > 0.0) ? t83 : 0.0) : 0.0;
+    const double t82 = carried_69[19] + carried_69[18];
+    const double t83 = t82 + (-948.4633516061084 * (carried_69[17] * carried_69[17]));
+    const double t84 = (carried_69[16] > 0.0) ? ((carried_69[15] > 0.0) ? t83 : 0.0) : 0.0;
     const double t85 = t81 + t84;
-    const double t86 = carried_70[14] + carried_70[13];
-    const double t87 = t86 + (1964.8485755964628 * (carried_70[12] * carried_70[12]));
-    const double t88 = (carried_70[11] > 0.0) ? ((carried_70[10] > 0.0) ? t87 : 0.0) : 0.0;
+    const double t86 = carried_69[14] + carried_69[13];
+    const double t87 = t86 + (1964.8485755964628 * (carried_69[12] * carried_69[12]));
+    const double t88 = (carried_69[11] > 0.0) ? ((carried_69[10] > 0.0) ? t87 : 0.0) : 0.0;
     const double t89 = t85 + t88;
-    const double t90 = carried_70[9] + carried_70[8];
-    const double t91 = t90 + (4823.089034916279 * (carried_70[7] * carried_70[7]));
-    const double t92 = t89 + ((carried_70[6] > 0.0) ? ((carried_70[5] > 0.0) ? t91 : 0.0) : 0.0);
-    const double t93 = (carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? carried_70[4] : 0.0) : 0.0;
+    const double t90 = carried_69[9] + carried_69[8];
+    const double t91 = t90 + (4823.089034916279 * (carried_69[7] * carried_69[7]));
+    const double t92 = t89 + ((carried_69[6] > 0.0) ? ((carried_69[5] > 0.0) ? t91 : 0.0) : 0.0);
+    const double t93 = (carried_69[2] > 0.0) ? ((carried_69[1] > 0.0) ? carried_69[4] : 0.0) : 0.0;
     const double t94 = t92 + t93;
-    const double t95 = (carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? carried_70[3] : 0.0) : 0.0;
+    const double t95 = (carried_69[2] > 0.0) ? ((carried_69[1] > 0.0) ? carried_69[3] : 0.0) : 0.0;
     const double t96 = t94 + t95;
     const double t97 = -3419.5004029005813 * (mode_state[0] * mode_state[0]);
-    seen[7] = t96 + ((carried_70[2] > 0.0) ? ((carried_70[1] > 0.0) ? t97 : 0.0) : 0.0);
-    seen[0] = carried_66;
-    seen[1] = carried_67;
-    seen[2] = carried_68[0];
-    seen[3] = carried_68[1];
-    seen[4] = carried_69;
-    seen[5] = carried_70[0];
+    seen[7] = t96 + ((carried_69[2] > 0.0) ? ((carried_69[1] > 0.0) ? t97 : 0.0) : 0.0);
+    seen[0] = carried_65;
+    seen[1] = carried_66;
+    seen[2] = carried_67[0];
+    seen[3] = carried_67[1];
+    seen[4] = carried_68;
+    seen[5] = carried_69[0];
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_4(const double *carried_66, const double mode_state,
-    double *carried_67)
+BATTERY_INLINE void battery_linearisation_4(const double *carried_65, const double mode_state,
+    double *carried_66)
 {
-    const double t0 = (carried_66[2] * carried_66[36]) + carried_66[3];
-    const double t1 = (carried_66[0] > 0.0) ? ((carried_66[1] > 0.0) ? t0 : 0.0) : 0.0;
-    const double t2 = carried_66[35] + t1;
-    const double t3 = (carried_66[6] * (carried_66[7] + carried_66[8])) + carried_66[9];
-    const double t4 = t2 + ((carried_66[4] > 0.0) ? ((carried_66[5] > 0.0) ? t3 : 0.0) : 0.0);
-    const double t5 = (carried_66[12] * (carried_66[13] + carried_66[14])) + carried_66[15];
-    const double t6 = t4 + ((carried_66[10] > 0.0) ? ((carried_66[11] > 0.0) ? t5 : 0.0) : 0.0);
-    const double t7 = (carried_66[18] * (carried_66[19] + carried_66[20])) + carried_66[21];
-    const double t8 = t6 + ((carried_66[16] > 0.0) ? ((carried_66[17] > 0.0) ? t7 : 0.0) : 0.0);
-    const double t9 = (carried_66[24] * (carried_66[25] + carried_66[26])) + carried_66[27];
-    const double t10 = t8 + ((carried_66[22] > 0.0) ? ((carried_66[23] > 0.0) ? t9 : 0.0) : 0.0);
-    const double t11 = (carried_66[30] * (carried_66[31] + carried_66[32])) + carried_66[33];
-    carried_67[0] = t10 + ((carried_66[28] > 0.0) ? ((carried_66[29] > 0.0) ? t11 : 0.0) : 0.0);
+    const double t0 = (carried_65[2] * carried_65[36]) + carried_65[3];
+    const double t1 = (carried_65[0] > 0.0) ? ((carried_65[1] > 0.0) ? t0 : 0.0) : 0.0;
+    const double t2 = carried_65[35] + t1;
+    const double t3 = (carried_65[6] * (carried_65[7] + carried_65[8])) + carried_65[9];
+    const double t4 = t2 + ((carried_65[4] > 0.0) ? ((carried_65[5] > 0.0) ? t3 : 0.0) : 0.0);
+    const double t5 = (carried_65[12] * (carried_65[13] + carried_65[14])) + carried_65[15];
+    const double t6 = t4 + ((carried_65[10] > 0.0) ? ((carried_65[11] > 0.0) ? t5 : 0.0) : 0.0);
+    const double t7 = (carried_65[18] * (carried_65[19] + carried_65[20])) + carried_65[21];
+    const double t8 = t6 + ((carried_65[16] > 0.0) ? ((carried_65[17] > 0.0) ? t7 : 0.0) : 0.0);
+    const double t9 = (carried_65[24] * (carried_65[25] + carried_65[26])) + carried_65[27];
+    const double t10 = t8 + ((carried_65[22] > 0.0) ? ((carried_65[23] > 0.0) ? t9 : 0.0) : 0.0);
+    const double t11 = (carried_65[30] * (carried_65[31] + carried_65[32])) + carried_65[33];
+    carried_66[0] = t10 + ((carried_65[28] > 0.0) ? ((carried_65[29] > 0.0) ? t11 : 0.0) : 0.0);
     const double t12 = (mode_state < 0.0) ? 3.051 : 0.0;
     const double t13 = (0.0 <= mode_state) ? 1.0 : 0.0;
     const double t14 = (mode_state < 0.005) ? 1.0 : 0.0;
@@ -1622,97 +1490,97 @@ BATTERY_INLINE void battery_linearisation_4(const double *carried_66, const doub
     const double t82 = 8.895841831346877 * t81;
     const double t83 = t82 + -1.855672606018938;
     const double t84 = (t83 * t81) + 0.48028243474520577;
-    carried_67[60] = t78 + ((t79 > 0.0) ? ((t80 > 0.0) ? (3.869 + (t84 * t81)) : 0.0) : 0.0);
-    carried_67[1] = t13;
-    carried_67[2] = t14;
-    carried_67[3] = t15;
-    carried_67[4] = t16;
-    carried_67[5] = t17;
-    carried_67[6] = t20;
-    carried_67[7] = t21;
-    carried_67[8] = t22;
-    carried_67[9] = t23;
-    carried_67[10] = t24;
-    carried_67[11] = t25;
-    carried_67[12] = t27;
-    carried_67[13] = t28;
-    carried_67[14] = t29;
-    carried_67[15] = t30;
-    carried_67[16] = t31;
-    carried_67[17] = t32;
-    carried_67[18] = t34;
-    carried_67[19] = t35;
-    carried_67[20] = t36;
-    carried_67[21] = t37;
-    carried_67[22] = t38;
-    carried_67[23] = t39;
-    carried_67[24] = t41;
-    carried_67[25] = t42;
-    carried_67[26] = t43;
-    carried_67[27] = t44;
-    carried_67[28] = t45;
-    carried_67[29] = t46;
-    carried_67[30] = t48;
-    carried_67[31] = t49;
-    carried_67[32] = t50;
-    carried_67[33] = t51;
-    carried_67[34] = t52;
-    carried_67[35] = t53;
-    carried_67[36] = t55;
-    carried_67[37] = t56;
-    carried_67[38] = t57;
-    carried_67[39] = t58;
-    carried_67[40] = t59;
-    carried_67[41] = t60;
-    carried_67[42] = t63;
-    carried_67[43] = t64;
-    carried_67[44] = t65;
-    carried_67[45] = t66;
-    carried_67[46] = t67;
-    carried_67[47] = t68;
-    carried_67[48] = t71;
-    carried_67[49] = t72;
-    carried_67[50] = t73;
-    carried_67[51] = t74;
-    carried_67[52] = t75;
-    carried_67[53] = t76;
-    carried_67[54] = t79;
-    carried_67[55] = t80;
-    carried_67[56] = t81;
-    carried_67[57] = t82;
-    carried_67[58] = t83;
-    carried_67[59] = t84;
+    carried_66[60] = t78 + ((t79 > 0.0) ? ((t80 > 0.0) ? (3.869 + (t84 * t81)) : 0.0) : 0.0);
+    carried_66[1] = t13;
+    carried_66[2] = t14;
+    carried_66[3] = t15;
+    carried_66[4] = t16;
+    carried_66[5] = t17;
+    carried_66[6] = t20;
+    carried_66[7] = t21;
+    carried_66[8] = t22;
+    carried_66[9] = t23;
+    carried_66[10] = t24;
+    carried_66[11] = t25;
+    carried_66[12] = t27;
+    carried_66[13] = t28;
+    carried_66[14] = t29;
+    carried_66[15] = t30;
+    carried_66[16] = t31;
+    carried_66[17] = t32;
+    carried_66[18] = t34;
+    carried_66[19] = t35;
+    carried_66[20] = t36;
+    carried_66[21] = t37;
+    carried_66[22] = t38;
+    carried_66[23] = t39;
+    carried_66[24] = t41;
+    carried_66[25] = t42;
+    carried_66[26] = t43;
+    carried_66[27] = t44;
+    carried_66[28] = t45;
+    carried_66[29] = t46;
+    carried_66[30] = t48;
+    carried_66[31] = t49;
+    carried_66[32] = t50;
+    carried_66[33] = t51;
+    carried_66[34] = t52;
+    carried_66[35] = t53;
+    carried_66[36] = t55;
+    carried_66[37] = t56;
+    carried_66[38] = t57;
+    carried_66[39] = t58;
+    carried_66[40] = t59;
+    carried_66[41] = t60;
+    carried_66[42] = t63;
+    carried_66[43] = t64;
+    carried_66[44] = t65;
+    carried_66[45] = t66;
+    carried_66[46] = t67;
+    carried_66[47] = t68;
+    carried_66[48] = t71;
+    carried_66[49] = t72;
+    carried_66[50] = t73;
+    carried_66[51] = t74;
+    carried_66[52] = t75;
+    carried_66[53] = t76;
+    carried_66[54] = t79;
+    carried_66[55] = t80;
+    carried_66[56] = t81;
+    carried_66[57] = t82;
+    carried_66[58] = t83;
+    carried_66[59] = t84;
 }
 
 /* linearisation. */
-BATTERY_INLINE void battery_linearisation_5(const double *carried_69, const double *mode_state,
-    double *carried_70)
+BATTERY_INLINE void battery_linearisation_5(const double *carried_68, const double *mode_state,
+    double *carried_69)
 {
-    const double t0 = carried_69[36] + ((carried_69[34] > 0.0) ? carried_69[37] : 0.0);
-    const double t1 = carried_69[33] + carried_69[32];
-    const double t2 = t1 + (23.201806179260856 * (carried_69[31] * carried_69[31]));
-    const double t3 = t0 + ((carried_69[30] > 0.0) ? ((carried_69[29] > 0.0) ? t2 : 0.0) : 0.0);
-    const double t4 = carried_69[28] + carried_69[27];
-    const double t5 = t4 + (-1536.1652297027072 * (carried_69[26] * carried_69[26]));
-    const double t6 = t3 + ((carried_69[25] > 0.0) ? ((carried_69[24] > 0.0) ? t5 : 0.0) : 0.0);
-    const double t7 = carried_69[23] + carried_69[22];
-    const double t8 = t7 + (-4614.861121502417 * (carried_69[21] * carried_69[21]));
-    const double t9 = t6 + ((carried_69[20] > 0.0) ? ((carried_69[19] > 0.0) ? t8 : 0.0) : 0.0);
-    const double t10 = carried_69[18] + carried_69[17];
-    const double t11 = t10 + (-948.4633516061084 * (carried_69[16] * carried_69[16]));
-    const double t12 = t9 + ((carried_69[15] > 0.0) ? ((carried_69[14] > 0.0) ? t11 : 0.0) : 0.0);
-    const double t13 = carried_69[13] + carried_69[12];
-    const double t14 = t13 + (1964.8485755964628 * (carried_69[11] * carried_69[11]));
-    const double t15 = t12 + ((carried_69[10] > 0.0) ? ((carried_69[9] > 0.0) ? t14 : 0.0) : 0.0);
-    const double t16 = carried_69[8] + carried_69[7];
-    const double t17 = t16 + (4823.089034916279 * (carried_69[6] * carried_69[6]));
-    const double t18 = t15 + ((carried_69[5] > 0.0) ? ((carried_69[4] > 0.0) ? t17 : 0.0) : 0.0);
-    const double t19 = (carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? carried_69[3] : 0.0) : 0.0;
+    const double t0 = carried_68[36] + ((carried_68[34] > 0.0) ? carried_68[37] : 0.0);
+    const double t1 = carried_68[33] + carried_68[32];
+    const double t2 = t1 + (23.201806179260856 * (carried_68[31] * carried_68[31]));
+    const double t3 = t0 + ((carried_68[30] > 0.0) ? ((carried_68[29] > 0.0) ? t2 : 0.0) : 0.0);
+    const double t4 = carried_68[28] + carried_68[27];
+    const double t5 = t4 + (-1536.1652297027072 * (carried_68[26] * carried_68[26]));
+    const double t6 = t3 + ((carried_68[25] > 0.0) ? ((carried_68[24] > 0.0) ? t5 : 0.0) : 0.0);
+    const double t7 = carried_68[23] + carried_68[22];
+    const double t8 = t7 + (-4614.861121502417 * (carried_68[21] * carried_68[21]));
+    const double t9 = t6 + ((carried_68[20] > 0.0) ? ((carried_68[19] > 0.0) ? t8 : 0.0) : 0.0);
+    const double t10 = carried_68[18] + carried_68[17];
+    const double t11 = t10 + (-948.4633516061084 * (carried_68[16] * carried_68[16]));
+    const double t12 = t9 + ((carried_68[15] > 0.0) ? ((carried_68[14] > 0.0) ? t11 : 0.0) : 0.0);
+    const double t13 = carried_68[13] + carried_68[12];
+    const double t14 = t13 + (1964.8485755964628 * (carried_68[11] * carried_68[11]));
+    const double t15 = t12 + ((carried_68[10] > 0.0) ? ((carried_68[9] > 0.0) ? t14 : 0.0) : 0.0);
+    const double t16 = carried_68[8] + carried_68[7];
+    const double t17 = t16 + (4823.089034916279 * (carried_68[6] * carried_68[6]));
+    const double t18 = t15 + ((carried_68[5] > 0.0) ? ((carried_68[4] > 0.0) ? t17 : 0.0) : 0.0);
+    const double t19 = (carried_68[1] > 0.0) ? ((carried_68[0] > 0.0) ? carried_68[3] : 0.0) : 0.0;
     const double t20 = t18 + t19;
-    const double t21 = (carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? carried_69[2] : 0.0) : 0.0;
+    const double t21 = (carried_68[1] > 0.0) ? ((carried_68[0] > 0.0) ? carried_68[2] : 0.0) : 0.0;
     const double t22 = t20 + t21;
     const double t23 = -3419.5004029005813 * (mode_state[0] * mode_state[0]);
-    carried_70[0] = t22 + ((carried_69[1] > 0.0) ? ((carried_69[0] > 0.0) ? t23 : 0.0) : 0.0);
+    carried_69[0] = t22 + ((carried_68[1] > 0.0) ? ((carried_68[0] > 0.0) ? t23 : 0.0) : 0.0);
     const double t24 = (mode_state[4] < 0.0) ? 3.051 : 0.0;
     const double t25 = (0.0 <= mode_state[4]) ? 1.0 : 0.0;
     const double t26 = (mode_state[4] < 0.005) ? 1.0 : 0.0;
@@ -1764,68 +1632,76 @@ BATTERY_INLINE void battery_linearisation_5(const double *carried_69, const doub
     const double t72 = mode_state[4] - 0.1653;
     const double t73 = ((23.309034510309303 * t72) + -5.459300485547035) * t72;
     const double t74 = t73 + 1.0726023931537396;
-    carried_70[40] = t69 + ((t70 > 0.0) ? ((t71 > 0.0) ? (3.723 + (t74 * t72)) : 0.0) : 0.0);
-    carried_70[1] = t25;
-    carried_70[2] = t26;
-    carried_70[3] = t27;
-    carried_70[4] = t28;
-    carried_70[5] = t31;
-    carried_70[6] = t32;
-    carried_70[7] = t33;
-    carried_70[8] = t34;
-    carried_70[9] = t35;
-    carried_70[10] = t37;
-    carried_70[11] = t38;
-    carried_70[12] = t39;
-    carried_70[13] = t40;
-    carried_70[14] = t41;
-    carried_70[15] = t43;
-    carried_70[16] = t44;
-    carried_70[17] = t45;
-    carried_70[18] = t46;
-    carried_70[19] = t47;
-    carried_70[20] = t49;
-    carried_70[21] = t50;
-    carried_70[22] = t51;
-    carried_70[23] = t52;
-    carried_70[24] = t53;
-    carried_70[25] = t56;
-    carried_70[26] = t57;
-    carried_70[27] = t58;
-    carried_70[28] = t59;
-    carried_70[29] = t60;
-    carried_70[30] = t63;
-    carried_70[31] = t64;
-    carried_70[32] = t65;
-    carried_70[33] = t66;
-    carried_70[34] = t67;
-    carried_70[35] = t70;
-    carried_70[36] = t71;
-    carried_70[37] = t72;
-    carried_70[38] = t73;
-    carried_70[39] = t74;
+    carried_69[40] = t69 + ((t70 > 0.0) ? ((t71 > 0.0) ? (3.723 + (t74 * t72)) : 0.0) : 0.0);
+    carried_69[1] = t25;
+    carried_69[2] = t26;
+    carried_69[3] = t27;
+    carried_69[4] = t28;
+    carried_69[5] = t31;
+    carried_69[6] = t32;
+    carried_69[7] = t33;
+    carried_69[8] = t34;
+    carried_69[9] = t35;
+    carried_69[10] = t37;
+    carried_69[11] = t38;
+    carried_69[12] = t39;
+    carried_69[13] = t40;
+    carried_69[14] = t41;
+    carried_69[15] = t43;
+    carried_69[16] = t44;
+    carried_69[17] = t45;
+    carried_69[18] = t46;
+    carried_69[19] = t47;
+    carried_69[20] = t49;
+    carried_69[21] = t50;
+    carried_69[22] = t51;
+    carried_69[23] = t52;
+    carried_69[24] = t53;
+    carried_69[25] = t56;
+    carried_69[26] = t57;
+    carried_69[27] = t58;
+    carried_69[28] = t59;
+    carried_69[29] = t60;
+    carried_69[30] = t63;
+    carried_69[31] = t64;
+    carried_69[32] = t65;
+    carried_69[33] = t66;
+    carried_69[34] = t67;
+    carried_69[35] = t70;
+    carried_69[36] = t71;
+    carried_69[37] = t72;
+    carried_69[38] = t73;
+    carried_69[39] = t74;
 }
 
 /* linearisation. */
-BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state, const double *y,
-    double *mean_m0, const double *mode_covariance, double *covariance_m0, double *mean_m1,
-    double *covariance_m1, double *mean_m2, double *covariance_m2, double *mean_m3,
-    double *covariance_m3, const double *predicted_mode_probability, double *weight,
-    const double *predicted_log_weight, double *log_weight_now, double *log_evidence,
-    double *combined_variance, double *combined_innovation, double *whitening_inverse_combined_0,
-    double *whitening_combined_0_1, double *whitening_inverse_combined_1, uint32_t present)
+BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state, double *seen,
+    const double *y, double *innovation_m0_0, double *innovation_m0_1, double *mean_m0,
+    const double *mode_covariance, double *covariance_m0, double *coupling_m0_0, double *pivot_m0_0,
+    double *factor_m0_0, double *pivot_m0_1, double *log_density_m0, double *innovation_m1_0,
+    double *innovation_m1_1, double *mean_m1, double *covariance_m1, double *coupling_m1_0,
+    double *pivot_m1_0, double *factor_m1_0, double *pivot_m1_1, double *log_density_m1,
+    double *innovation_m2_0, double *innovation_m2_1, double *mean_m2, double *covariance_m2,
+    double *pivot_m2_1, double *log_density_m2, double *innovation_m3_0, double *innovation_m3_1,
+    double *mean_m3, double *covariance_m3, double *pivot_m3_1, double *log_density_m3,
+    uint32_t present)
 {
-    double carried_66[37];
-    double carried_67[61];
-    double carried_68[2];
-    double carried_69[38];
-    double carried_70[41];
-    double seen[8];
+    double carried_65[37];
+    double carried_66[61];
+    double carried_67[2];
+    double carried_68[38];
+    double carried_69[41];
+    double quadratic_m2 = 0.0;
+    double log_constant_m2 = 0.0;
+    double determinant_m2_0 = 1.0;
+    double quadratic_m3 = 0.0;
+    double log_constant_m3 = 0.0;
+    double determinant_m3_0 = 1.0;
     battery_status_t status;
 
     /* linearisation */
-    battery_linearisation_2(mode_state, carried_66);
-    battery_linearisation_4(carried_66, mode_state[4], carried_67);
+    battery_linearisation_2(mode_state, carried_65);
+    battery_linearisation_4(carried_65, mode_state[4], carried_66);
     const double t0 = (0.4783 <= mode_state[4]) ? 1.0 : 0.0;
     const double t1 = (mode_state[4] < 0.5826) ? 1.0 : 0.0;
     const double t2 = mode_state[4] - 0.4783;
@@ -1833,7 +1709,7 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t4 = t3 + 0.2451320603012952;
     const double t5 = (t4 * t2) + 0.3835091083413213;
     const double t6 = (t0 > 0.0) ? ((t1 > 0.0) ? (3.909 + (t5 * t2)) : 0.0) : 0.0;
-    const double t7 = carried_67[60] + t6;
+    const double t7 = carried_66[60] + t6;
     const double t8 = (0.5826 <= mode_state[4]) ? 1.0 : 0.0;
     const double t9 = (mode_state[4] < 0.6869) ? 1.0 : 0.0;
     const double t10 = mode_state[4] - 0.5826;
@@ -1870,32 +1746,32 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t41 = (t40 * t38) + 0.9178734558915858;
     const double t42 = t35 + ((t36 > 0.0) ? ((t37 > 0.0) ? (4.182 + (t41 * t38)) : 0.0) : 0.0);
     const double t43 = t42 + ((1.3002 <= mode_state[4]) ? 4.4574 : 0.0);
-    carried_68[0] = t43 + (mode_state[7] * mode_state[6]) + mode_state[5];
-    const double t44 = (mode_state[4] * (carried_67[3] + carried_67[4])) + carried_67[5];
-    const double t45 = (carried_67[1] > 0.0) ? ((carried_67[2] > 0.0) ? t44 : 0.0) : 0.0;
-    const double t46 = (carried_67[8] * (carried_67[9] + carried_67[10])) + carried_67[11];
-    const double t47 = t45 + ((carried_67[6] > 0.0) ? ((carried_67[7] > 0.0) ? t46 : 0.0) : 0.0);
-    const double t48 = (carried_67[14] * (carried_67[15] + carried_67[16])) + carried_67[17];
-    const double t49 = t47 + ((carried_67[12] > 0.0) ? ((carried_67[13] > 0.0) ? t48 : 0.0) : 0.0);
-    const double t50 = (carried_67[20] * (carried_67[21] + carried_67[22])) + carried_67[23];
-    const double t51 = t49 + ((carried_67[18] > 0.0) ? ((carried_67[19] > 0.0) ? t50 : 0.0) : 0.0);
-    const double t52 = (carried_67[26] * (carried_67[27] + carried_67[28])) + carried_67[29];
-    const double t53 = (carried_67[24] > 0.0) ? ((carried_67[25] > 0.0) ? t52 : 0.0) : 0.0;
+    carried_67[0] = t43 + (mode_state[7] * mode_state[6]) + mode_state[5];
+    const double t44 = (mode_state[4] * (carried_66[3] + carried_66[4])) + carried_66[5];
+    const double t45 = (carried_66[1] > 0.0) ? ((carried_66[2] > 0.0) ? t44 : 0.0) : 0.0;
+    const double t46 = (carried_66[8] * (carried_66[9] + carried_66[10])) + carried_66[11];
+    const double t47 = t45 + ((carried_66[6] > 0.0) ? ((carried_66[7] > 0.0) ? t46 : 0.0) : 0.0);
+    const double t48 = (carried_66[14] * (carried_66[15] + carried_66[16])) + carried_66[17];
+    const double t49 = t47 + ((carried_66[12] > 0.0) ? ((carried_66[13] > 0.0) ? t48 : 0.0) : 0.0);
+    const double t50 = (carried_66[20] * (carried_66[21] + carried_66[22])) + carried_66[23];
+    const double t51 = t49 + ((carried_66[18] > 0.0) ? ((carried_66[19] > 0.0) ? t50 : 0.0) : 0.0);
+    const double t52 = (carried_66[26] * (carried_66[27] + carried_66[28])) + carried_66[29];
+    const double t53 = (carried_66[24] > 0.0) ? ((carried_66[25] > 0.0) ? t52 : 0.0) : 0.0;
     const double t54 = t51 + t53;
-    const double t55 = (carried_67[32] * (carried_67[33] + carried_67[34])) + carried_67[35];
-    const double t56 = (carried_67[30] > 0.0) ? ((carried_67[31] > 0.0) ? t55 : 0.0) : 0.0;
+    const double t55 = (carried_66[32] * (carried_66[33] + carried_66[34])) + carried_66[35];
+    const double t56 = (carried_66[30] > 0.0) ? ((carried_66[31] > 0.0) ? t55 : 0.0) : 0.0;
     const double t57 = t54 + t56;
-    const double t58 = (carried_67[38] * (carried_67[39] + carried_67[40])) + carried_67[41];
-    const double t59 = (carried_67[36] > 0.0) ? ((carried_67[37] > 0.0) ? t58 : 0.0) : 0.0;
+    const double t58 = (carried_66[38] * (carried_66[39] + carried_66[40])) + carried_66[41];
+    const double t59 = (carried_66[36] > 0.0) ? ((carried_66[37] > 0.0) ? t58 : 0.0) : 0.0;
     const double t60 = t57 + t59;
-    const double t61 = (carried_67[44] * (carried_67[45] + carried_67[46])) + carried_67[47];
-    const double t62 = (carried_67[42] > 0.0) ? ((carried_67[43] > 0.0) ? t61 : 0.0) : 0.0;
+    const double t61 = (carried_66[44] * (carried_66[45] + carried_66[46])) + carried_66[47];
+    const double t62 = (carried_66[42] > 0.0) ? ((carried_66[43] > 0.0) ? t61 : 0.0) : 0.0;
     const double t63 = t60 + t62;
-    const double t64 = (carried_67[50] * (carried_67[51] + carried_67[52])) + carried_67[53];
-    const double t65 = (carried_67[48] > 0.0) ? ((carried_67[49] > 0.0) ? t64 : 0.0) : 0.0;
+    const double t64 = (carried_66[50] * (carried_66[51] + carried_66[52])) + carried_66[53];
+    const double t65 = (carried_66[48] > 0.0) ? ((carried_66[49] > 0.0) ? t64 : 0.0) : 0.0;
     const double t66 = t63 + t65;
-    const double t67 = (carried_67[56] * (carried_67[57] + carried_67[58])) + carried_67[59];
-    const double t68 = (carried_67[54] > 0.0) ? ((carried_67[55] > 0.0) ? t67 : 0.0) : 0.0;
+    const double t67 = (carried_66[56] * (carried_66[57] + carried_66[58])) + carried_66[59];
+    const double t68 = (carried_66[54] > 0.0) ? ((carried_66[55] > 0.0) ? t67 : 0.0) : 0.0;
     const double t69 = t66 + t68;
     const double t70 = t69 + ((t0 > 0.0) ? ((t1 > 0.0) ? ((t2 * (t3 + t4)) + t5) : 0.0) : 0.0);
     const double t71 = (t8 > 0.0) ? ((t9 > 0.0) ? ((t10 * (t11 + t12)) + t13) : 0.0) : 0.0;
@@ -1906,11 +1782,11 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     const double t76 = t74 + t75;
     const double t77 = (t29 > 0.0) ? ((t30 > 0.0) ? ((t31 * (t32 + t33)) + t34) : 0.0) : 0.0;
     const double t78 = t76 + t77;
-    carried_68[1] = t78 + ((t36 > 0.0) ? ((t37 > 0.0) ? ((t38 * (t39 + t40)) + t41) : 0.0) : 0.0);
-    battery_linearisation(&mode_state[8], carried_69);
-    battery_linearisation_5(carried_69, &mode_state[8], carried_70);
-    battery_linearisation_3(&mode_state[12], carried_70, carried_66[34], seen, carried_67[0],
-        carried_68, carried_69[35]);
+    carried_67[1] = t78 + ((t36 > 0.0) ? ((t37 > 0.0) ? ((t38 * (t39 + t40)) + t41) : 0.0) : 0.0);
+    battery_linearisation(&mode_state[8], carried_68);
+    battery_linearisation_5(carried_68, &mode_state[8], carried_69);
+    battery_linearisation_3(&mode_state[12], carried_69, carried_65[34], seen, carried_66[0],
+        carried_67, carried_68[35]);
     if (!battery_finite((battery_defect(seen[0]) + battery_defect(seen[2])) +
         (battery_defect(seen[4]) + battery_defect(seen[6]))))
     {
@@ -1918,40 +1794,64 @@ BATTERY_INLINE battery_status_t battery_linearisation_6(const double *mode_state
     }
 
     /* mode 0: signal, R: innovation, row by row */
-    status = battery_mode_6(y, mode_state, seen, mean_m0, mode_covariance, covariance_m0, mean_m1,
-        covariance_m1, mean_m2, covariance_m2, mean_m3, covariance_m3, predicted_mode_probability,
-        weight, predicted_log_weight, log_weight_now, log_evidence, combined_variance,
-        combined_innovation, whitening_inverse_combined_0, whitening_combined_0_1,
-        whitening_inverse_combined_1, present);
+    status = battery_mode(y, mode_state, innovation_m0_0, seen, innovation_m0_1, mean_m0,
+        mode_covariance, covariance_m0, coupling_m0_0, pivot_m0_0, factor_m0_0, pivot_m0_1,
+        log_density_m0, present);
     if (status != BATTERY_OK) { return status; }
+
+    /* mode 1: signal, noise x 1: innovation, row by row */
+    status = battery_mode(y, &mode_state[4], innovation_m1_0, &seen[2], innovation_m1_1, mean_m1,
+        &mode_covariance[10], covariance_m1, coupling_m1_0, pivot_m1_0, factor_m1_0, pivot_m1_1,
+        log_density_m1, present);
+    if (status != BATTERY_OK) { return status; }
+
+    /* mode 2: no signal, R: innovation, row by row */
+    battery_mode_4(y, innovation_m2_0, seen[4], innovation_m2_1, &mode_state[8], mean_m2,
+        &mode_covariance[20], covariance_m2, present);
+
+    /* mode 2: no signal, R: row 0 of y, sensor */
+    status = battery_mode_2(innovation_m2_0[0], &quadratic_m2, &log_constant_m2,
+        &mode_covariance[20], seen[5], &mode_state[8], pivot_m2_1, innovation_m2_1[0],
+        &determinant_m2_0, mean_m2, covariance_m2, present);
+    if (status != BATTERY_OK) { return status; }
+
+    /* mode 2: no signal, R */
+    log_density_m2[0] = -0.5 * (quadratic_m2 + (log_constant_m2 + battery_log(determinant_m2_0)));
+
+    /* mode 3: no signal, noise x 1: innovation, row by row */
+    battery_mode_4(y, innovation_m3_0, seen[6], innovation_m3_1, &mode_state[12], mean_m3,
+        &mode_covariance[30], covariance_m3, present);
+
+    /* mode 3: no signal, noise x 1: row 0 of y, sensor */
+    status = battery_mode_2(innovation_m3_0[0], &quadratic_m3, &log_constant_m3,
+        &mode_covariance[30], seen[7], &mode_state[12], pivot_m3_1, innovation_m3_1[0],
+        &determinant_m3_0, mean_m3, covariance_m3, present);
+    if (status != BATTERY_OK) { return status; }
+
+    /* mode 3: no signal, noise x 1 */
+    log_density_m3[0] = -0.5 * (quadratic_m3 + (log_constant_m3 + battery_log(determinant_m3_0)));
     return BATTERY_OK;
 }
 
-/* law of the next mode, and mixing weights. */
-BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_probability,
-    const double *log_weight, const double *mode_filtered_state,
-    const double *mode_filtered_covariance, const double *Q, double *predicted_mode_probability,
+/* mixing and prediction of every mode. */
+BATTERY_INLINE battery_status_t battery_mixing_and_prediction_8(const double
+    *mode_filtered_covariance, const double *path_share_0, const double path_share_inverse_0,
+    const double *mode_filtered_state, const double *Q, const double *path_share_2,
+    const double path_share_inverse_2, const double mode_prediction_0,
+    const double mode_prediction_2, const double path_share_total_0,
+    const double log_path_largest_0, const double path_share_total_2,
+    const double log_path_largest_2, double *predicted_mode_probability,
     double *predicted_log_weight, double *mode_state, double *mode_covariance,
     double *predicted_state, double *predicted_covariance, const battery_params_t *params)
 {
-    double kernel[8];
-    double mode_prediction_0;
-    double log_path_largest_0;
-    double path_share_0[4];
-    double path_share_total_0;
-    double path_share_inverse_0;
-    double mode_prediction_2;
-    double log_path_largest_2;
-    double path_share_2[4];
-    double path_share_total_2;
-    double path_share_inverse_2;
+    double mixed_limits[4];
     double mixed_0_0_3_share[2];
     double mixed_0_0_1_mean[4];
-    double mixed_0_0_1_within[4];
+    double mixed_apart_0_1_most;
     double mixed_apart_0_1_squared[10];
     double mixed_0_0_1_covariance[10];
     double mixed_0_2_3_mean[4];
-    double mixed_0_2_3_within[4];
+    double mixed_apart_2_3_most;
     double mixed_apart_2_3_squared[10];
     double mixed_0_2_3_covariance[10];
     double mixed_0_0_3_mean[4];
@@ -1962,13 +1862,9 @@ BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_pro
     double mixed_1_0_3_share[2];
     double mixed_1_0_1_share[2];
     double mixed_1_0_1_mean[4];
-    double mixed_1_0_1_within[4];
-    double mixed_1_0_1_factor;
     double mixed_1_0_1_covariance[10];
     double mixed_1_2_3_share[2];
     double mixed_1_2_3_mean[4];
-    double mixed_1_2_3_within[4];
-    double mixed_1_2_3_factor;
     double mixed_1_2_3_covariance[10];
     double mixed_1_0_3_mean[4];
     double mixed_1_0_3_covariance[10];
@@ -1981,119 +1877,94 @@ BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_pro
     double predicted_apart_0_1_squared[10];
     double predicted_0_1_covariance[10];
 
-    /* law of the next mode, and mixing weights */
-    const double t0 = battery_exp(-(params->dt / 300.0));
-    const double t1 = (t0 > 0.0) ? t0 : 0.0;
-    const double t2 = battery_exp(-(params->dt / 60.0));
-    const double t3 = 1.0 - t2;
-    const double t4 = (t3 > 0.0) ? t3 : 0.0;
-    const double t5 = 1.0 - t0;
-    const double t6 = (t5 > 0.0) ? t5 : 0.0;
-    const double t7 = (t2 > 0.0) ? t2 : 0.0;
-    kernel[0] = t1;
-    kernel[1] = t1;
-    kernel[2] = t4;
-    kernel[3] = t4;
-    kernel[4] = t6;
-    kernel[5] = t6;
-    kernel[6] = t7;
-    kernel[7] = t7;
-    battery_law_of_the_next(mode_probability, kernel, &mode_prediction_0, log_weight,
-        &log_path_largest_0, path_share_0, &path_share_total_0, &path_share_inverse_0);
-    battery_law_of_the_next(mode_probability, &kernel[4], &mode_prediction_2, log_weight,
-        &log_path_largest_2, path_share_2, &path_share_total_2, &path_share_inverse_2);
-
     /* mixing and prediction of every mode */
-    const double t8 = path_share_0[0] * path_share_inverse_0;
-    mixed_0_0_3_share[0] = t8 + (path_share_0[1] * path_share_inverse_0);
-    const double t9 = path_share_0[2] * path_share_inverse_0;
-    mixed_0_0_3_share[1] = t9 + (path_share_0[3] * path_share_inverse_0);
-    battery_mixing_and_prediction_5(path_share_0, path_share_inverse_0, mode_filtered_state,
-        mixed_0_0_1_mean, mode_filtered_covariance, mixed_0_0_1_within, mixed_apart_0_1_squared,
-        mixed_0_0_1_covariance);
-    battery_mixing_and_prediction_5(&path_share_0[2], path_share_inverse_0, &mode_filtered_state[8],
-        mixed_0_2_3_mean, &mode_filtered_covariance[20], mixed_0_2_3_within,
-        mixed_apart_2_3_squared, mixed_0_2_3_covariance);
+    battery_mixing_and_prediction_5(mode_filtered_covariance, mixed_limits);
+    battery_mixing_and_prediction_5(&mode_filtered_covariance[2], &mixed_limits[1]);
+    battery_mixing_and_prediction_5(&mode_filtered_covariance[5], &mixed_limits[2]);
+    battery_mixing_and_prediction_5(&mode_filtered_covariance[9], &mixed_limits[3]);
+    const double t0 = path_share_0[0] * path_share_inverse_0;
+    mixed_0_0_3_share[0] = t0 + (path_share_0[1] * path_share_inverse_0);
+    const double t1 = path_share_0[2] * path_share_inverse_0;
+    mixed_0_0_3_share[1] = t1 + (path_share_0[3] * path_share_inverse_0);
+    battery_mixing_and_prediction_2(path_share_0, path_share_inverse_0, mode_filtered_state,
+        mixed_0_0_1_mean, mixed_limits, &mixed_apart_0_1_most, mixed_apart_0_1_squared,
+        mode_filtered_covariance, mixed_0_0_1_covariance);
+    battery_mixing_and_prediction_2(&path_share_0[2], path_share_inverse_0, &mode_filtered_state[8],
+        mixed_0_2_3_mean, mixed_limits, &mixed_apart_2_3_most, mixed_apart_2_3_squared,
+        &mode_filtered_covariance[20], mixed_0_2_3_covariance);
     battery_part_2(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_mean,
-        mixed_0_0_1_within, mixed_0_2_3_within, mixed_0_0_1_covariance, mixed_0_2_3_covariance,
-        mixed_0_0_3_covariance);
+        mixed_limits, mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance);
 
     /* mixing and prediction of every mode: linearisation */
-    battery_mixing_and_prediction_6(mixed_0_0_3_mean, moved_0, params);
+    battery_mixing_and_prediction_7(mixed_0_0_3_mean, moved_0, params);
 
     /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_3(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
+    battery_mixing_and_prediction_4(moved_0, moved_state_0, &mixed_0_0_3_mean[2],
         mixed_0_0_3_covariance, Q, moved_covariance_0);
-    const double t10 = path_share_2[0] * path_share_inverse_2;
-    mixed_1_0_3_share[0] = t10 + (path_share_2[1] * path_share_inverse_2);
-    const double t11 = path_share_2[2] * path_share_inverse_2;
-    mixed_1_0_3_share[1] = t11 + (path_share_2[3] * path_share_inverse_2);
-    battery_mixing_and_prediction(path_share_2, path_share_inverse_2, mixed_1_0_1_share,
-        mode_filtered_state, mixed_1_0_1_mean, mode_filtered_covariance, mixed_1_0_1_within,
-        &mixed_1_0_1_factor);
-    battery_mixing_and_prediction_4(mixed_1_0_1_share, mode_filtered_covariance, mixed_1_0_1_factor,
-        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    battery_mixing_and_prediction(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share,
-        &mode_filtered_state[8], mixed_1_2_3_mean, &mode_filtered_covariance[20],
-        mixed_1_2_3_within, &mixed_1_2_3_factor);
-    battery_mixing_and_prediction_4(mixed_1_2_3_share, &mode_filtered_covariance[20],
-        mixed_1_2_3_factor, mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    const double t2 = path_share_2[0] * path_share_inverse_2;
+    mixed_1_0_3_share[0] = t2 + (path_share_2[1] * path_share_inverse_2);
+    const double t3 = path_share_2[2] * path_share_inverse_2;
+    mixed_1_0_3_share[1] = t3 + (path_share_2[3] * path_share_inverse_2);
+    battery_mixing_and_prediction_3(path_share_2, path_share_inverse_2, mixed_1_0_1_share,
+        mode_filtered_state, mixed_1_0_1_mean);
+    battery_mixing_and_prediction_6(mixed_1_0_1_share, mixed_apart_0_1_most,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    battery_mixing_and_prediction_3(&path_share_2[2], path_share_inverse_2, mixed_1_2_3_share,
+        &mode_filtered_state[8], mixed_1_2_3_mean);
+    battery_mixing_and_prediction_6(mixed_1_2_3_share, mixed_apart_2_3_most,
+        &mode_filtered_covariance[20], mixed_apart_2_3_squared, mixed_1_2_3_covariance);
     battery_part_2(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_mean,
-        mixed_1_0_1_within, mixed_1_2_3_within, mixed_1_0_1_covariance, mixed_1_2_3_covariance,
-        mixed_1_0_3_covariance);
+        mixed_limits, mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance);
 
     /* mixing and prediction of every mode: linearisation */
-    battery_mixing_and_prediction_6(mixed_1_0_3_mean, moved_1, params);
+    battery_mixing_and_prediction_7(mixed_1_0_3_mean, moved_1, params);
 
     /* mixing and prediction of every mode */
-    battery_mixing_and_prediction_3(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
+    battery_mixing_and_prediction_4(moved_1, moved_state_1, &mixed_1_0_3_mean[2],
         mixed_1_0_3_covariance, Q, moved_covariance_1);
 
     /* combined prediction */
     predicted_0_1_share[0] = mode_prediction_0;
     predicted_0_1_share[1] = mode_prediction_2;
-    battery_part_7(predicted_0_1_share, moved_state_0, moved_state_1, predicted_0_1_mean);
-    predicted_apart_0_1[0] = moved_state_0[0] - moved_state_1[0];
-    predicted_apart_0_1[1] = moved_state_0[1] - moved_state_1[1];
-    predicted_apart_0_1[2] = moved_state_0[2] - moved_state_1[2];
-    predicted_apart_0_1[3] = moved_state_0[3] - moved_state_1[3];
+    battery_part_4(predicted_0_1_share, moved_state_0, moved_state_1, predicted_0_1_mean,
+        predicted_apart_0_1);
     battery_part_5(predicted_apart_0_1, predicted_apart_0_1_squared);
-    const double t12 = predicted_0_1_share[0] * moved_covariance_0[0];
-    const double t13 = t12 + (predicted_0_1_share[1] * moved_covariance_1[0]);
-    const double t14 = predicted_0_1_share[0] * predicted_0_1_share[1];
-    predicted_0_1_covariance[0] = t13 + (t14 * predicted_apart_0_1_squared[0]);
-    const double t15 = predicted_0_1_share[0] * moved_covariance_0[1];
-    const double t16 = t15 + (predicted_0_1_share[1] * moved_covariance_1[1]);
-    predicted_0_1_covariance[1] = t16 + (t14 * predicted_apart_0_1_squared[1]);
-    const double t17 = predicted_0_1_share[0] * moved_covariance_0[2];
-    const double t18 = t17 + (predicted_0_1_share[1] * moved_covariance_1[2]);
-    predicted_0_1_covariance[2] = t18 + (t14 * predicted_apart_0_1_squared[2]);
-    const double t19 = predicted_0_1_share[0] * moved_covariance_0[3];
-    const double t20 = t19 + (predicted_0_1_share[1] * moved_covariance_1[3]);
-    predicted_0_1_covariance[3] = t20 + (t14 * predicted_apart_0_1_squared[3]);
-    const double t21 = predicted_0_1_share[0] * moved_covariance_0[4];
-    const double t22 = t21 + (predicted_0_1_share[1] * moved_covariance_1[4]);
-    predicted_0_1_covariance[4] = t22 + (t14 * predicted_apart_0_1_squared[4]);
-    const double t23 = predicted_0_1_share[0] * moved_covariance_0[5];
-    const double t24 = t23 + (predicted_0_1_share[1] * moved_covariance_1[5]);
-    predicted_0_1_covariance[5] = t24 + (t14 * predicted_apart_0_1_squared[5]);
-    const double t25 = predicted_0_1_share[0] * moved_covariance_0[6];
-    const double t26 = t25 + (predicted_0_1_share[1] * moved_covariance_1[6]);
-    predicted_0_1_covariance[6] = t26 + (t14 * predicted_apart_0_1_squared[6]);
-    const double t27 = predicted_0_1_share[0] * moved_covariance_0[7];
-    const double t28 = t27 + (predicted_0_1_share[1] * moved_covariance_1[7]);
-    predicted_0_1_covariance[7] = t28 + (t14 * predicted_apart_0_1_squared[7]);
-    const double t29 = predicted_0_1_share[0] * moved_covariance_0[8];
-    const double t30 = t29 + (predicted_0_1_share[1] * moved_covariance_1[8]);
-    predicted_0_1_covariance[8] = t30 + (t14 * predicted_apart_0_1_squared[8]);
-    const double t31 = predicted_0_1_share[0] * moved_covariance_0[9];
-    const double t32 = t31 + (predicted_0_1_share[1] * moved_covariance_1[9]);
-    predicted_0_1_covariance[9] = t32 + (t14 * predicted_apart_0_1_squared[9]);
-    const double t33 = log_path_largest_0 + battery_log(path_share_total_0);
-    const double t34 = (t33 > BATTERY_LOG_ZERO) ? t33 : BATTERY_LOG_ZERO;
-    const double t35 = log_path_largest_2 + battery_log(path_share_total_2);
-    const double t36 = (t35 > BATTERY_LOG_ZERO) ? t35 : BATTERY_LOG_ZERO;
-    if (!battery_finite((((battery_defect(t34) + battery_defect(t36)) +
+    const double t4 = predicted_0_1_share[0] * moved_covariance_0[0];
+    const double t5 = t4 + (predicted_0_1_share[1] * moved_covariance_1[0]);
+    const double t6 = predicted_0_1_share[0] * predicted_0_1_share[1];
+    predicted_0_1_covariance[0] = t5 + (t6 * predicted_apart_0_1_squared[0]);
+    const double t7 = predicted_0_1_share[0] * moved_covariance_0[1];
+    const double t8 = t7 + (predicted_0_1_share[1] * moved_covariance_1[1]);
+    predicted_0_1_covariance[1] = t8 + (t6 * predicted_apart_0_1_squared[1]);
+    const double t9 = predicted_0_1_share[0] * moved_covariance_0[2];
+    const double t10 = t9 + (predicted_0_1_share[1] * moved_covariance_1[2]);
+    predicted_0_1_covariance[2] = t10 + (t6 * predicted_apart_0_1_squared[2]);
+    const double t11 = predicted_0_1_share[0] * moved_covariance_0[3];
+    const double t12 = t11 + (predicted_0_1_share[1] * moved_covariance_1[3]);
+    predicted_0_1_covariance[3] = t12 + (t6 * predicted_apart_0_1_squared[3]);
+    const double t13 = predicted_0_1_share[0] * moved_covariance_0[4];
+    const double t14 = t13 + (predicted_0_1_share[1] * moved_covariance_1[4]);
+    predicted_0_1_covariance[4] = t14 + (t6 * predicted_apart_0_1_squared[4]);
+    const double t15 = predicted_0_1_share[0] * moved_covariance_0[5];
+    const double t16 = t15 + (predicted_0_1_share[1] * moved_covariance_1[5]);
+    predicted_0_1_covariance[5] = t16 + (t6 * predicted_apart_0_1_squared[5]);
+    const double t17 = predicted_0_1_share[0] * moved_covariance_0[6];
+    const double t18 = t17 + (predicted_0_1_share[1] * moved_covariance_1[6]);
+    predicted_0_1_covariance[6] = t18 + (t6 * predicted_apart_0_1_squared[6]);
+    const double t19 = predicted_0_1_share[0] * moved_covariance_0[7];
+    const double t20 = t19 + (predicted_0_1_share[1] * moved_covariance_1[7]);
+    predicted_0_1_covariance[7] = t20 + (t6 * predicted_apart_0_1_squared[7]);
+    const double t21 = predicted_0_1_share[0] * moved_covariance_0[8];
+    const double t22 = t21 + (predicted_0_1_share[1] * moved_covariance_1[8]);
+    predicted_0_1_covariance[8] = t22 + (t6 * predicted_apart_0_1_squared[8]);
+    const double t23 = predicted_0_1_share[0] * moved_covariance_0[9];
+    const double t24 = t23 + (predicted_0_1_share[1] * moved_covariance_1[9]);
+    predicted_0_1_covariance[9] = t24 + (t6 * predicted_apart_0_1_squared[9]);
+    const double t25 = log_path_largest_0 + battery_log(path_share_total_0);
+    const double t26 = (t25 > BATTERY_LOG_ZERO) ? t25 : BATTERY_LOG_ZERO;
+    const double t27 = log_path_largest_2 + battery_log(path_share_total_2);
+    const double t28 = (t27 > BATTERY_LOG_ZERO) ? t27 : BATTERY_LOG_ZERO;
+    if (!battery_finite((((battery_defect(t26) + battery_defect(t28)) +
         battery_defect(predicted_0_1_mean[0])) + (battery_defect(predicted_0_1_mean[1]) +
         battery_defect(predicted_0_1_mean[2]))) + (((battery_defect(predicted_0_1_mean[3]) +
         battery_defect(predicted_0_1_covariance[0])) +
@@ -2107,9 +1978,9 @@ BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_pro
     predicted_mode_probability[1] = 0.0;
     predicted_mode_probability[2] = mode_prediction_2;
     predicted_mode_probability[3] = 0.0;
-    predicted_log_weight[0] = t34;
+    predicted_log_weight[0] = t26;
     predicted_log_weight[1] = BATTERY_LOG_ZERO;
-    predicted_log_weight[2] = t36;
+    predicted_log_weight[2] = t28;
     predicted_log_weight[3] = BATTERY_LOG_ZERO;
     battery_copy(moved_state_1, &mode_state[8], 4);
     battery_copy(moved_covariance_1, &mode_covariance[20], 10);
@@ -2140,33 +2011,48 @@ BATTERY_INLINE battery_status_t battery_law_of_the_next_2(const double *mode_pro
 static battery_status_t battery_correct(const battery_t *self, const battery_params_t *params,
     const double *y, uint32_t present, battery_t *next)
 {
+    double seen[8];
+    double innovation_m0_0 = 0.0;
+    double innovation_m0_1 = 0.0;
     double mean_m0[4] = { 0.0 };
     double covariance_m0[10] = { 0.0 };
+    double coupling_m0_0 = 0.0;
+    double pivot_m0_0 = 0.0;
+    double factor_m0_0 = 0.0;
+    double pivot_m0_1 = 0.0;
+    double log_density_m0 = 0.0;
+    double innovation_m1_0 = 0.0;
+    double innovation_m1_1 = 0.0;
     double mean_m1[4] = { 0.0 };
     double covariance_m1[10] = { 0.0 };
+    double coupling_m1_0 = 0.0;
+    double pivot_m1_0 = 0.0;
+    double factor_m1_0 = 0.0;
+    double pivot_m1_1 = 0.0;
+    double log_density_m1 = 0.0;
+    double innovation_m2_0 = 0.0;
+    double innovation_m2_1 = 0.0;
     double mean_m2[4] = { 0.0 };
     double covariance_m2[10] = { 0.0 };
+    double pivot_m2_1 = 0.0;
+    double log_density_m2 = 0.0;
+    double innovation_m3_0 = 0.0;
+    double innovation_m3_1 = 0.0;
     double mean_m3[4] = { 0.0 };
     double covariance_m3[10] = { 0.0 };
-    double weight[4] = { 0.0 };
-    double log_weight_now[4] = { 0.0 };
+    double pivot_m3_1 = 0.0;
+    double log_density_m3 = 0.0;
+    double weight[4];
+    double log_weight_now[4];
     double log_evidence = 0.0;
-    double combined_variance[3] = { 0.0 };
-    double combined_innovation[2] = { 0.0 };
-    double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
-    double whitening_inverse_combined_1 = 0.0;
-    double combined_0_3_share[2];
-    double combined_0_1_mean[4];
-    double combined_0_1_within[4];
-    double combined_0_1_covariance[10];
-    double combined_2_3_mean[4];
-    double combined_2_3_within[4];
-    double combined_2_3_covariance[10];
-    double combined_0_3_mean[4];
-    double combined_0_3_covariance[10];
+    double log_joint[4] = { 0.0 };
+    double log_largest = 0.0;
+    double share_of_largest[4] = { 0.0 };
+    double share_total = 0.0;
+    double share_total_inverse = 0.0;
+    double log_share_total = 0.0;
     battery_status_t status;
-    status = battery_part_4(params);
+    status = battery_part_3(params);
     if (status != BATTERY_OK) { return status; }
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0) &&
@@ -2181,60 +2067,63 @@ static battery_status_t battery_correct(const battery_t *self, const battery_par
     }
 
     /* linearisation */
-    status = battery_linearisation_6(self->mode_state, y, mean_m0, self->mode_covariance,
-        covariance_m0, mean_m1, covariance_m1, mean_m2, covariance_m2, mean_m3, covariance_m3,
-        self->predicted_mode_probability, weight, self->predicted_log_weight, log_weight_now,
-        &log_evidence, combined_variance, combined_innovation, &whitening_inverse_combined_0,
-        &whitening_combined_0_1, &whitening_inverse_combined_1, present);
+    status = battery_linearisation_6(self->mode_state, seen, y, &innovation_m0_0, &innovation_m0_1,
+        mean_m0, self->mode_covariance, covariance_m0, &coupling_m0_0, &pivot_m0_0, &factor_m0_0,
+        &pivot_m0_1, &log_density_m0, &innovation_m1_0, &innovation_m1_1, mean_m1, covariance_m1,
+        &coupling_m1_0, &pivot_m1_0, &factor_m1_0, &pivot_m1_1, &log_density_m1, &innovation_m2_0,
+        &innovation_m2_1, mean_m2, covariance_m2, &pivot_m2_1, &log_density_m2, &innovation_m3_0,
+        &innovation_m3_1, mean_m3, covariance_m3, &pivot_m3_1, &log_density_m3, present);
     if (status != BATTERY_OK) { return status; }
 
-    /* combination */
-    combined_0_3_share[0] = weight[0] + weight[1];
-    combined_0_3_share[1] = weight[2] + weight[3];
-    battery_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0, covariance_m1,
-        combined_0_1_within, combined_0_1_covariance);
-    battery_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
-        covariance_m3, combined_2_3_within, combined_2_3_covariance);
-    battery_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_1_within, combined_2_3_within, combined_0_1_covariance, combined_2_3_covariance,
-        combined_0_3_covariance);
-    if (!battery_finite((battery_defect(combined_0_3_mean[0]) +
-        battery_defect(combined_0_3_mean[1])) + (battery_defect(combined_0_3_mean[2]) +
-        battery_defect(combined_0_3_mean[3]))))
+    /* probabilities of the modes */
+    battery_copy(self->predicted_mode_probability, weight, 4);
+    battery_copy(self->predicted_log_weight, log_weight_now, 4);
+    if ((present) != 0u)
     {
-        return BATTERY_RESULT_NOT_FINITE;
+        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
+        share_of_largest[0] = battery_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = battery_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = battery_exp(log_joint[2] - log_largest);
+        share_of_largest[3] = battery_exp(log_joint[3] - log_largest);
+        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t2 + share_of_largest[3];
+        const double t3 = log_largest - BATTERY_LEAST_LOG_DENSITY;
+        if (!(t3 > 0.0)) { return BATTERY_RESULT_NOT_FINITE; }
+        if (!battery_finite(battery_defect(share_total))) { return BATTERY_RESULT_NOT_FINITE; }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = battery_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
+        const double t4 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t4 > BATTERY_LOG_ZERO) ? t4 : BATTERY_LOG_ZERO;
+        const double t5 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t5 > BATTERY_LOG_ZERO) ? t5 : BATTERY_LOG_ZERO;
+        const double t6 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t6 > BATTERY_LOG_ZERO) ? t6 : BATTERY_LOG_ZERO;
+        const double t7 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t7 > BATTERY_LOG_ZERO) ? t7 : BATTERY_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
     }
-    const double t0 = combined_innovation[0] * combined_innovation[0];
-    const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
-    if (!battery_finite((((battery_defect(combined_variance[0]) +
-        battery_defect(combined_variance[2])) + battery_defect(t3)) +
-        ((battery_defect(log_weight_now[0]) + battery_defect(log_weight_now[1])) +
-        battery_defect(log_weight_now[2]))) + (((battery_defect(log_weight_now[3]) +
-        battery_defect(log_evidence)) + battery_defect(combined_0_3_covariance[0])) +
-        ((battery_defect(combined_0_3_covariance[2]) + battery_defect(combined_0_3_covariance[5])) +
-        battery_defect(combined_0_3_covariance[9])))))
-    {
-        return BATTERY_RESULT_NOT_FINITE;
-    }
-    next->innovation[0] = combined_innovation[0];
-    next->innovation[1] = combined_innovation[1];
-    battery_copy(combined_variance, next->innovation_covariance, 3);
-    next->nis = t3;
-    battery_copy(weight, next->mode_probability, 4);
-    battery_copy(log_weight_now, next->log_weight, 4);
-    next->log_likelihood = log_evidence;
-    battery_copy(combined_0_3_mean, next->filtered_state, 4);
-    battery_copy(combined_0_3_covariance, next->filtered_covariance, 10);
-    battery_copy(mean_m0, next->mode_filtered_state, 4);
-    battery_copy(mean_m1, &next->mode_filtered_state[4], 4);
-    battery_copy(mean_m2, &next->mode_filtered_state[8], 4);
-    battery_copy(mean_m3, &next->mode_filtered_state[12], 4);
-    battery_copy(covariance_m0, next->mode_filtered_covariance, 10);
-    battery_copy(covariance_m1, &next->mode_filtered_covariance[10], 10);
-    battery_copy(covariance_m2, &next->mode_filtered_covariance[20], 10);
-    battery_copy(covariance_m3, &next->mode_filtered_covariance[30], 10);
+
+    /* innovation of the mixture */
+    status = battery_innovation_of_the_mixture(&self->mode_state[2], seen,
+        self->predicted_mode_probability, pivot_m0_0, pivot_m1_0, coupling_m0_0, coupling_m1_0,
+        factor_m0_0, pivot_m0_1, factor_m1_0, pivot_m1_1, pivot_m2_1, pivot_m3_1, innovation_m0_0,
+        innovation_m1_0, innovation_m2_0, innovation_m3_0, innovation_m0_1, innovation_m1_1,
+        innovation_m2_1, innovation_m3_1, covariance_m0, covariance_m1, covariance_m2,
+        covariance_m3, weight, mean_m0, mean_m1, mean_m2, mean_m3, log_weight_now, log_evidence,
+        next->innovation, next->innovation_covariance, &next->nis, next->mode_probability,
+        next->log_weight, &next->log_likelihood, next->filtered_state, next->filtered_covariance,
+        next->mode_filtered_state, next->mode_filtered_covariance, present);
+    if (status != BATTERY_OK) { return status; }
     return BATTERY_OK;
 }
 
@@ -2243,8 +2132,19 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     battery_t *next)
 {
     double Q[4];
+    double kernel[8];
+    double mode_prediction_0;
+    double log_path_largest_0;
+    double path_share_0[4];
+    double path_share_total_0;
+    double path_share_inverse_0;
+    double mode_prediction_2;
+    double log_path_largest_2;
+    double path_share_2[4];
+    double path_share_total_2;
+    double path_share_inverse_2;
     battery_status_t status;
-    status = battery_part_4(params);
+    status = battery_part_3(params);
     if (status != BATTERY_OK) { return status; }
     Q[0] = 1.0e-10 * params->dt;
     Q[1] = 1.0e-06 * params->dt;
@@ -2256,10 +2156,35 @@ static battery_status_t battery_propagate(const battery_t *self, const battery_p
     }
 
     /* law of the next mode, and mixing weights */
-    status = battery_law_of_the_next_2(self->mode_probability, self->log_weight,
-        self->mode_filtered_state, self->mode_filtered_covariance, Q,
-        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
-        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
+    const double t0 = battery_exp(-(params->dt / 300.0));
+    const double t1 = (t0 > 0.0) ? t0 : 0.0;
+    const double t2 = battery_exp(-(params->dt / 60.0));
+    const double t3 = 1.0 - t2;
+    const double t4 = (t3 > 0.0) ? t3 : 0.0;
+    const double t5 = 1.0 - t0;
+    const double t6 = (t5 > 0.0) ? t5 : 0.0;
+    const double t7 = (t2 > 0.0) ? t2 : 0.0;
+    kernel[0] = t1;
+    kernel[1] = t1;
+    kernel[2] = t4;
+    kernel[3] = t4;
+    kernel[4] = t6;
+    kernel[5] = t6;
+    kernel[6] = t7;
+    kernel[7] = t7;
+    battery_law_of_the_next(self->mode_probability, kernel, &mode_prediction_0, self->log_weight,
+        &log_path_largest_0, path_share_0, &path_share_total_0, &path_share_inverse_0);
+    battery_law_of_the_next(self->mode_probability, &kernel[4], &mode_prediction_2,
+        self->log_weight, &log_path_largest_2, path_share_2, &path_share_total_2,
+        &path_share_inverse_2);
+
+    /* mixing and prediction of every mode */
+    status = battery_mixing_and_prediction_8(self->mode_filtered_covariance, path_share_0,
+        path_share_inverse_0, self->mode_filtered_state, Q, path_share_2, path_share_inverse_2,
+        mode_prediction_0, mode_prediction_2, path_share_total_0, log_path_largest_0,
+        path_share_total_2, log_path_largest_2, next->predicted_mode_probability,
+        next->predicted_log_weight, next->mode_state, next->mode_covariance, next->predicted_state,
+        next->predicted_covariance, params);
     if (status != BATTERY_OK) { return status; }
     return BATTERY_OK;
 }

@@ -723,17 +723,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_weights_of_th
     const double t63 = t62 + (held_probability[2] * innovation_h2_1);
     const double t64 = t63 + (held_probability[3] * innovation_h3_1);
     combined_innovation[1] = t64 + (held_probability[4] * innovation_h4_1);
-    const double t65 = 1.7763568394002505e-15 * combined_variance[0];
-    whitening_pivot_combined_0 = (combined_variance[0] > t65) ? combined_variance[0] : t65;
+    whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
         if (!(whitening_pivot_combined_0 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    const double t66 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
-    const double t67 = 1.7763568394002505e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t66 > t67) ? t66 : t67;
+    const double t65 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
+    const double t66 = 1.7763568394002505e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t65 > t66) ? t65 : t66;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }

@@ -235,160 +235,68 @@ GPS_GLITCH_INLINE void gps_glitch_copy(const double *from, double *to, int size)
     }
 }
 
-/* part 2; combination. */
-GPS_GLITCH_INLINE void gps_glitch_part_5(const double *combined_share, const double *mean,
-    const double *combined_2_3_mean, double *combined_mean, const double combined_0_1_within,
-    const double combined_2_3_within, double *combined_within)
+/* combination; mixing and prediction. */
+GPS_GLITCH_INLINE void gps_glitch_part_2(const double *share, const double *mean,
+    const double *combined_2_3_mean, double *mean_2, double *apart)
 {
-    combined_mean[0] = (combined_share[0] * mean[0]) + (combined_share[1] * combined_2_3_mean[0]);
-    combined_mean[1] = (combined_share[0] * mean[1]) + (combined_share[1] * combined_2_3_mean[1]);
-    combined_mean[2] = (combined_share[0] * mean[2]) + (combined_share[1] * combined_2_3_mean[2]);
-    const double t0 = combined_share[0] * combined_0_1_within;
-    combined_within[0] = t0 + (combined_share[1] * combined_2_3_within);
-}
-
-/* part 2; combination. */
-GPS_GLITCH_INLINE void gps_glitch_part_3(const double *combined_share,
-    const double combined_0_1_within, const double combined_2_3_within, double *combined_within,
-    double *combined_factor, const double *mean, const double *combined_2_3_mean,
-    double *combined_apart)
-{
-    const double t0 = combined_share[0] * combined_0_1_within;
-    combined_within[2] = t0 + (combined_share[1] * combined_2_3_within);
-    combined_factor[0] = combined_share[0] * combined_share[1];
-    const double t1 = combined_share[0] * combined_share[1];
-    const double t2 = mean[0] - combined_2_3_mean[0];
-    const double t3 = (t1 * (t2 * t2)) - (1000000000.0 * combined_within[0]);
-    const double t4 = mean[1] - combined_2_3_mean[1];
-    const double t5 = (t1 * (t4 * t4)) - (1000000000.0 * combined_within[1]);
-    const double t6 = (t3 > t5) ? t3 : t5;
-    const double t7 = mean[2] - combined_2_3_mean[2];
-    const double t8 = (t1 * (t7 * t7)) - (1000000000.0 * combined_within[2]);
-    const double t9 = (t6 > t8) ? t6 : t8;
-    if (t9 > 0.0)
-    {
-        const double t10 = combined_share[0] * combined_share[1];
-        const double t11 = 1000000000.0 * combined_within[0];
-        const double t12 = t11 + ((t11 <= 0.0) ? 1.0 : 0.0);
-        const double t13 = mean[0] - combined_2_3_mean[0];
-        const double t14 = t10 * (t13 * t13);
-        const double t15 = (t14 > GPS_GLITCH_TINY) ? t14 : GPS_GLITCH_TINY;
-        const double t16 = t12 / t15;
-        const double t17 = (1.0 < t16) ? 1.0 : t16;
-        const double t18 = 1000000000.0 * combined_within[1];
-        const double t19 = t18 + ((t18 <= 0.0) ? 1.0 : 0.0);
-        const double t20 = mean[1] - combined_2_3_mean[1];
-        const double t21 = t10 * (t20 * t20);
-        const double t22 = (t21 > GPS_GLITCH_TINY) ? t21 : GPS_GLITCH_TINY;
-        const double t23 = t19 / t22;
-        const double t24 = (t17 < t23) ? t17 : t23;
-        const double t25 = 1000000000.0 * combined_within[2];
-        const double t26 = t25 + ((t25 <= 0.0) ? 1.0 : 0.0);
-        const double t27 = mean[2] - combined_2_3_mean[2];
-        const double t28 = t10 * (t27 * t27);
-        const double t29 = (t28 > GPS_GLITCH_TINY) ? t28 : GPS_GLITCH_TINY;
-        const double t30 = t26 / t29;
-        const double t31 = (t24 < t30) ? t24 : t30;
-        combined_factor[0] = t10 * t31;
-    }
-    combined_apart[0] = mean[0] - combined_2_3_mean[0];
-    combined_apart[1] = mean[1] - combined_2_3_mean[1];
-    combined_apart[2] = mean[2] - combined_2_3_mean[2];
-}
-
-/* combination; mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_3_share,
-    const double *combined_0_1_mean, const double *combined_2_3_mean, double *combined_0_3_mean,
-    const double *combined_0_1_within, const double *combined_2_3_within,
-    const double *combined_0_1_covariance, const double *combined_2_3_covariance,
-    double *combined_0_3_covariance)
-{
-    double combined_0_3_within[3];
-    double combined_0_3_factor;
-    double combined_0_3_apart[3];
-    gps_glitch_part_5(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_1_within[0], combined_2_3_within[0], combined_0_3_within);
-    const double t0 = combined_0_3_share[0] * combined_0_1_within[1];
-    combined_0_3_within[1] = t0 + (combined_0_3_share[1] * combined_2_3_within[1]);
-    gps_glitch_part_3(combined_0_3_share, combined_0_1_within[2], combined_2_3_within[2],
-        combined_0_3_within, &combined_0_3_factor, combined_0_1_mean, combined_2_3_mean,
-        combined_0_3_apart);
-    const double t1 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t2 = t1 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t3 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
-    combined_0_3_covariance[0] = t2 + t3;
-    const double t4 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t5 = t4 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t6 = combined_0_3_factor * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t5 + (t6 * combined_0_3_apart[0]);
-    const double t7 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t8 = t7 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t8 + (t6 * combined_0_3_apart[1]);
-    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t11 = combined_0_3_factor * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t10 + (t11 * combined_0_3_apart[0]);
-    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t13 = t12 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t13 + (t11 * combined_0_3_apart[1]);
-    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t15 + (t11 * combined_0_3_apart[2]);
+    mean_2[0] = (share[0] * mean[0]) + (share[1] * combined_2_3_mean[0]);
+    mean_2[1] = (share[0] * mean[1]) + (share[1] * combined_2_3_mean[1]);
+    mean_2[2] = (share[0] * mean[2]) + (share[1] * combined_2_3_mean[2]);
+    apart[0] = mean[0] - combined_2_3_mean[0];
+    apart[1] = mean[1] - combined_2_3_mean[1];
+    apart[2] = mean[2] - combined_2_3_mean[2];
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_share,
-    const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
-    double *mixed_within, double *mixed_factor)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_0_3_share,
+    const double *mixed_0_1_mean, const double *mixed_2_3_mean, const double *mixed_limits,
+    const double *mixed_0_1_covariance, const double *mixed_2_3_covariance, double *moved_state,
+    const double *Q, double *moved_covariance, const gps_glitch_params_t *params)
 {
-    const double t0 = mixed_share[0] * mode_filtered_state[0];
-    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[3]);
-    const double t1 = mixed_share[0] * mode_filtered_state[1];
-    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[4]);
-    const double t2 = mixed_share[0] * mode_filtered_state[2];
-    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[5]);
-    const double t3 = mixed_share[0] * mode_filtered_covariance[0];
-    mixed_within[0] = t3 + (mixed_share[1] * mode_filtered_covariance[6]);
-    const double t4 = mixed_share[0] * mode_filtered_covariance[2];
-    mixed_within[1] = t4 + (mixed_share[1] * mode_filtered_covariance[8]);
-    const double t5 = mixed_share[0] * mode_filtered_covariance[5];
-    mixed_within[2] = t5 + (mixed_share[1] * mode_filtered_covariance[11]);
-    mixed_factor[0] = mixed_share[0] * mixed_share[1];
-    const double t6 = mixed_share[0] * mixed_share[1];
-    const double t7 = mode_filtered_state[0] - mode_filtered_state[3];
-    const double t8 = (t6 * (t7 * t7)) - (1000000000.0 * mixed_within[0]);
-    const double t9 = mode_filtered_state[1] - mode_filtered_state[4];
-    const double t10 = (t6 * (t9 * t9)) - (1000000000.0 * mixed_within[1]);
-    const double t11 = (t8 > t10) ? t8 : t10;
-    const double t12 = mode_filtered_state[2] - mode_filtered_state[5];
-    const double t13 = (t6 * (t12 * t12)) - (1000000000.0 * mixed_within[2]);
-    const double t14 = (t11 > t13) ? t11 : t13;
-    if (t14 > 0.0)
-    {
-        const double t15 = mixed_share[0] * mixed_share[1];
-        const double t16 = 1000000000.0 * mixed_within[0];
-        const double t17 = t16 + ((t16 <= 0.0) ? 1.0 : 0.0);
-        const double t18 = mode_filtered_state[0] - mode_filtered_state[3];
-        const double t19 = t15 * (t18 * t18);
-        const double t20 = (t19 > GPS_GLITCH_TINY) ? t19 : GPS_GLITCH_TINY;
-        const double t21 = t17 / t20;
-        const double t22 = (1.0 < t21) ? 1.0 : t21;
-        const double t23 = 1000000000.0 * mixed_within[1];
-        const double t24 = t23 + ((t23 <= 0.0) ? 1.0 : 0.0);
-        const double t25 = mode_filtered_state[1] - mode_filtered_state[4];
-        const double t26 = t15 * (t25 * t25);
-        const double t27 = (t26 > GPS_GLITCH_TINY) ? t26 : GPS_GLITCH_TINY;
-        const double t28 = t24 / t27;
-        const double t29 = (t22 < t28) ? t22 : t28;
-        const double t30 = 1000000000.0 * mixed_within[2];
-        const double t31 = t30 + ((t30 <= 0.0) ? 1.0 : 0.0);
-        const double t32 = mode_filtered_state[2] - mode_filtered_state[5];
-        const double t33 = t15 * (t32 * t32);
-        const double t34 = (t33 > GPS_GLITCH_TINY) ? t33 : GPS_GLITCH_TINY;
-        const double t35 = t31 / t34;
-        const double t36 = (t29 < t35) ? t29 : t35;
-        mixed_factor[0] = t15 * t36;
-    }
+    double mixed_0_3_mean[3];
+    double mixed_0_3_apart[3];
+    double mixed_0_3_apart_most;
+    double mixed_0_3_factor;
+    double mixed_0_3_covariance[6];
+    gps_glitch_part_2(mixed_0_3_share, mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_mean,
+        mixed_0_3_apart);
+    const double t0 = mixed_limits[0] * (mixed_0_3_apart[0] * mixed_0_3_apart[0]);
+    const double t1 = t0 + (mixed_limits[1] * (mixed_0_3_apart[1] * mixed_0_3_apart[1]));
+    const double t2 = t1 + (mixed_limits[2] * (mixed_0_3_apart[2] * mixed_0_3_apart[2]));
+    mixed_0_3_apart_most = 1.0 / (t2 + GPS_GLITCH_TINY);
+    const double t3 = mixed_0_3_share[0] * mixed_0_3_share[1];
+    mixed_0_3_factor = (t3 < mixed_0_3_apart_most) ? t3 : mixed_0_3_apart_most;
+    const double t4 = mixed_0_3_share[0] * mixed_0_1_covariance[0];
+    const double t5 = t4 + (mixed_0_3_share[1] * mixed_2_3_covariance[0]);
+    mixed_0_3_covariance[0] = t5 + (mixed_0_3_factor * mixed_0_3_apart[0] * mixed_0_3_apart[0]);
+    const double t6 = mixed_0_3_share[0] * mixed_0_1_covariance[1];
+    const double t7 = t6 + (mixed_0_3_share[1] * mixed_2_3_covariance[1]);
+    const double t8 = mixed_0_3_factor * mixed_0_3_apart[1];
+    mixed_0_3_covariance[1] = t7 + (t8 * mixed_0_3_apart[0]);
+    const double t9 = mixed_0_3_share[0] * mixed_0_1_covariance[2];
+    const double t10 = t9 + (mixed_0_3_share[1] * mixed_2_3_covariance[2]);
+    mixed_0_3_covariance[2] = t10 + (t8 * mixed_0_3_apart[1]);
+    const double t11 = mixed_0_3_share[0] * mixed_0_1_covariance[3];
+    const double t12 = t11 + (mixed_0_3_share[1] * mixed_2_3_covariance[3]);
+    const double t13 = mixed_0_3_factor * mixed_0_3_apart[2];
+    mixed_0_3_covariance[3] = t12 + (t13 * mixed_0_3_apart[0]);
+    const double t14 = mixed_0_3_share[0] * mixed_0_1_covariance[4];
+    const double t15 = t14 + (mixed_0_3_share[1] * mixed_2_3_covariance[4]);
+    mixed_0_3_covariance[4] = t15 + (t13 * mixed_0_3_apart[1]);
+    const double t16 = mixed_0_3_share[0] * mixed_0_1_covariance[5];
+    const double t17 = t16 + (mixed_0_3_share[1] * mixed_2_3_covariance[5]);
+    mixed_0_3_covariance[5] = t17 + (t13 * mixed_0_3_apart[2]);
+    moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
+    moved_state[1] = mixed_0_3_mean[1];
+    moved_state[2] = mixed_0_3_mean[2];
+    const double t18 = mixed_0_3_covariance[0] + (params->dt * mixed_0_3_covariance[1]);
+    const double t19 = mixed_0_3_covariance[1] + (params->dt * mixed_0_3_covariance[2]);
+    moved_covariance[0] = t18 + (t19 * params->dt) + Q[0];
+    moved_covariance[1] = mixed_0_3_covariance[1] + (mixed_0_3_covariance[2] * params->dt) + Q[1];
+    moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
+    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
+    moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
+    moved_covariance[4] = mixed_0_3_covariance[4];
 }
 
 /* mode 2: no signal, R: row 0 of y, baro; mode 3: no signal, noise x 400: row 0 of y, baro; mode 0:
@@ -538,8 +446,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     return GPS_GLITCH_OK;
 }
 
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_share,
+/* mixing and prediction 2. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_6(const double *mixed_share,
     const double *mode_filtered_covariance, const double mixed_factor,
     const double *mixed_apart_squared, double *mixed_covariance)
 {
@@ -549,22 +457,26 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_sh
     const double t2 = mixed_share[0] * mode_filtered_covariance[1];
     const double t3 = t2 + (mixed_share[1] * mode_filtered_covariance[7]);
     mixed_covariance[1] = t3 + (mixed_factor * mixed_apart_squared[1]);
-    const double t4 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t5 = t4 + (mixed_share[1] * mode_filtered_covariance[8]);
-    mixed_covariance[2] = t5 + (mixed_factor * mixed_apart_squared[2]);
 }
 
-/* mixing and prediction of every mode; combination; mixing and prediction 5. */
-GPS_GLITCH_INLINE void gps_glitch_part_4(const double *mixing_1, double *share)
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_share,
+    const double mixed_apart_most, const double *mode_filtered_covariance,
+    const double *mixed_apart_squared, double *mixed_covariance)
 {
-    double inverse;
-    inverse = 1.0 / (mixing_1[0] + mixing_1[1] + GPS_GLITCH_TINY);
-    share[0] = mixing_1[0] * inverse;
-    share[1] = mixing_1[1] * inverse;
+    double mixed_factor;
+    const double t0 = mixed_share[0] * mixed_share[1];
+    mixed_factor = (t0 < mixed_apart_most) ? t0 : mixed_apart_most;
+    gps_glitch_mixing_and_prediction_6(mixed_share, mode_filtered_covariance, mixed_factor,
+        mixed_apart_squared, mixed_covariance);
+    gps_glitch_mixing_and_prediction_6(mixed_share, &mode_filtered_covariance[2], mixed_factor,
+        &mixed_apart_squared[2], &mixed_covariance[2]);
+    gps_glitch_mixing_and_prediction_6(mixed_share, &mode_filtered_covariance[4], mixed_factor,
+        &mixed_apart_squared[4], &mixed_covariance[4]);
 }
 
-/* combination; mixing and prediction 5. */
-GPS_GLITCH_INLINE void gps_glitch_part_6(const double *apart, double *apart_squared)
+/* combination; mixing and prediction 4. */
+GPS_GLITCH_INLINE void gps_glitch_part_3(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
     apart_squared[1] = apart[1] * apart[0];
@@ -575,75 +487,48 @@ GPS_GLITCH_INLINE void gps_glitch_part_6(const double *apart, double *apart_squa
 }
 
 /* combination. */
-GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_share,
-    const double *covariance, const double *covariance_2, const double combined_factor,
-    const double *combined_apart_squared, double *combined_covariance)
-{
-    const double t0 = (combined_share[0] * covariance[0]) + (combined_share[1] * covariance_2[0]);
-    combined_covariance[0] = t0 + (combined_factor * combined_apart_squared[0]);
-    const double t1 = (combined_share[0] * covariance[1]) + (combined_share[1] * covariance_2[1]);
-    combined_covariance[1] = t1 + (combined_factor * combined_apart_squared[1]);
-}
-
-/* combination. */
 GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double *mean,
     const double *mean_2, double *combined_mean, const double *covariance,
-    const double *covariance_2, double *combined_within, double *combined_covariance)
+    const double *covariance_2, double *combined_covariance)
 {
+    double combined_inverse;
     double combined_share[2];
-    double combined_factor;
     double combined_apart[3];
     double combined_apart_squared[6];
-    gps_glitch_part_4(weight, combined_share);
-    gps_glitch_part_5(combined_share, mean, mean_2, combined_mean, covariance[0], covariance_2[0],
-        combined_within);
-    const double t0 = combined_share[0] * covariance[2];
-    combined_within[1] = t0 + (combined_share[1] * covariance_2[2]);
-    gps_glitch_part_3(combined_share, covariance[5], covariance_2[5], combined_within,
-        &combined_factor, mean, mean_2, combined_apart);
-    gps_glitch_part_6(combined_apart, combined_apart_squared);
-    gps_glitch_combination_2(combined_share, covariance, covariance_2, combined_factor,
-        combined_apart_squared, combined_covariance);
-    gps_glitch_combination_2(combined_share, &covariance[2], &covariance_2[2], combined_factor,
-        &combined_apart_squared[2], &combined_covariance[2]);
-    gps_glitch_combination_2(combined_share, &covariance[4], &covariance_2[4], combined_factor,
-        &combined_apart_squared[4], &combined_covariance[4]);
+    combined_inverse = 1.0 / (weight[0] + weight[1] + GPS_GLITCH_TINY);
+    combined_share[0] = weight[0] * combined_inverse;
+    combined_share[1] = weight[1] * combined_inverse;
+    gps_glitch_part_2(combined_share, mean, mean_2, combined_mean, combined_apart);
+    gps_glitch_part_3(combined_apart, combined_apart_squared);
+    const double t0 = (combined_share[0] * covariance[0]) + (combined_share[1] * covariance_2[0]);
+    const double t1 = combined_share[0] * combined_share[1];
+    combined_covariance[0] = t0 + (t1 * combined_apart_squared[0]);
+    const double t2 = (combined_share[0] * covariance[1]) + (combined_share[1] * covariance_2[1]);
+    combined_covariance[1] = t2 + (t1 * combined_apart_squared[1]);
+    const double t3 = (combined_share[0] * covariance[2]) + (combined_share[1] * covariance_2[2]);
+    combined_covariance[2] = t3 + (t1 * combined_apart_squared[2]);
+    const double t4 = (combined_share[0] * covariance[3]) + (combined_share[1] * covariance_2[3]);
+    combined_covariance[3] = t4 + (t1 * combined_apart_squared[3]);
+    const double t5 = (combined_share[0] * covariance[4]) + (combined_share[1] * covariance_2[4]);
+    combined_covariance[4] = t5 + (t1 * combined_apart_squared[4]);
+    const double t6 = (combined_share[0] * covariance[5]) + (combined_share[1] * covariance_2[5]);
+    combined_covariance[5] = t6 + (t1 * combined_apart_squared[5]);
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixed_0_3_share,
-    const double *mixed_0_1_mean, const double *mixed_2_3_mean, const double *mixed_0_1_within,
-    const double *mixed_2_3_within, const double *mixed_0_1_covariance,
-    const double *mixed_2_3_covariance, double *moved_state, const double *Q,
-    double *moved_covariance, const gps_glitch_params_t *params)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing, double *mixed_share,
+    const double *mode_filtered_state, double *mixed_mean)
 {
-    double mixed_0_3_mean[3];
-    double mixed_0_3_covariance[6];
-    gps_glitch_part_2(mixed_0_3_share, mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_mean,
-        mixed_0_1_within, mixed_2_3_within, mixed_0_1_covariance, mixed_2_3_covariance,
-        mixed_0_3_covariance);
-    moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
-    moved_state[1] = mixed_0_3_mean[1];
-    moved_state[2] = mixed_0_3_mean[2];
-    const double t0 = mixed_0_3_covariance[0] + (params->dt * mixed_0_3_covariance[1]);
-    const double t1 = mixed_0_3_covariance[1] + (params->dt * mixed_0_3_covariance[2]);
-    moved_covariance[0] = t0 + (t1 * params->dt) + Q[0];
-    moved_covariance[1] = mixed_0_3_covariance[1] + (mixed_0_3_covariance[2] * params->dt) + Q[1];
-    moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
-    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
-    moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
-    moved_covariance[4] = mixed_0_3_covariance[4];
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *mixed_share,
-    const double *mode_filtered_covariance, const double mixed_factor,
-    const double *mixed_apart_squared, double *mixed_covariance)
-{
-    gps_glitch_mixing_and_prediction_2(mixed_share, mode_filtered_covariance, mixed_factor,
-        mixed_apart_squared, mixed_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_share, &mode_filtered_covariance[3], mixed_factor,
-        &mixed_apart_squared[3], &mixed_covariance[3]);
+    double mixed_inverse;
+    mixed_inverse = 1.0 / (mixing[0] + mixing[1] + GPS_GLITCH_TINY);
+    mixed_share[0] = mixing[0] * mixed_inverse;
+    mixed_share[1] = mixing[1] * mixed_inverse;
+    const double t0 = mixed_share[0] * mode_filtered_state[0];
+    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[3]);
+    const double t1 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[5]);
 }
 
 /* What differs between the calls of gps_glitch_law_of_the_next, a row for each. */
@@ -669,34 +554,24 @@ GPS_GLITCH_INLINE void gps_glitch_law_of_the_next(const double *mode_probability
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_5(const double *mixing_0,
-    const double *mode_filtered_state, double *mixed_0_mean, const double *mode_filtered_covariance,
-    double *mixed_0_within, double *mixed_apart_squared, double *mixed_0_covariance)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *mixing_0,
+    const double *mode_filtered_state, double *mixed_0_mean, const double *mixed_limits,
+    double *mixed_apart_most, double *mixed_apart_squared, const double *mode_filtered_covariance,
+    double *mixed_0_covariance)
 {
     double mixed_0_share[2];
-    double mixed_0_factor;
     double mixed_apart[3];
-    gps_glitch_part_4(mixing_0, mixed_0_share);
-    gps_glitch_mixing_and_prediction(mixed_0_share, mode_filtered_state, mixed_0_mean,
-        mode_filtered_covariance, mixed_0_within, &mixed_0_factor);
+    gps_glitch_mixing_and_prediction_3(mixing_0, mixed_0_share, mode_filtered_state, mixed_0_mean);
     mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
     mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
     mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
-    gps_glitch_part_6(mixed_apart, mixed_apart_squared);
-    gps_glitch_mixing_and_prediction_4(mixed_0_share, mode_filtered_covariance, mixed_0_factor,
+    const double t0 = mixed_limits[0] * (mixed_apart[0] * mixed_apart[0]);
+    const double t1 = t0 + (mixed_limits[1] * (mixed_apart[1] * mixed_apart[1]));
+    const double t2 = t1 + (mixed_limits[2] * (mixed_apart[2] * mixed_apart[2])) + GPS_GLITCH_TINY;
+    mixed_apart_most[0] = 1.0 / t2;
+    gps_glitch_part_3(mixed_apart, mixed_apart_squared);
+    gps_glitch_mixing_and_prediction_2(mixed_0_share, mixed_apart_most[0], mode_filtered_covariance,
         mixed_apart_squared, mixed_0_covariance);
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_6(const double *mixed_share,
-    const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
-    double *mixed_within, const double *mixed_apart_squared, double *mixed_covariance)
-{
-    double mixed_factor;
-    gps_glitch_mixing_and_prediction(mixed_share, mode_filtered_state, mixed_mean,
-        mode_filtered_covariance, mixed_within, &mixed_factor);
-    gps_glitch_mixing_and_prediction_4(mixed_share, mode_filtered_covariance, mixed_factor,
-        mixed_apart_squared, mixed_covariance);
 }
 
 /* What differs between the calls of gps_glitch_mode_3, a row for each. */
@@ -719,6 +594,28 @@ GPS_GLITCH_INLINE void gps_glitch_mode_3(const double innovation, double *quadra
         quadratic[0] = quadratic[0] + (innovation * (numbers[0] * innovation));
         log_constant[0] = log_constant[0] + numbers[1];
     }
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_5(const double *path_share_3,
+    const double path_share_inverse_3, const double *mode_filtered_state, double *mixed_3_mean,
+    const double mixed_apart_most, const double *mode_filtered_covariance,
+    const double *mixed_apart_squared, double *mixed_3_covariance)
+{
+    double mixed_3_inverse;
+    double mixed_3_share[2];
+    const double t0 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_inverse = 1.0 / (t0 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_inverse;
+    mixed_3_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_inverse;
+    const double t1 = mixed_3_share[0] * mode_filtered_state[0];
+    mixed_3_mean[0] = t1 + (mixed_3_share[1] * mode_filtered_state[3]);
+    const double t2 = mixed_3_share[0] * mode_filtered_state[1];
+    mixed_3_mean[1] = t2 + (mixed_3_share[1] * mode_filtered_state[4]);
+    const double t3 = mixed_3_share[0] * mode_filtered_state[2];
+    mixed_3_mean[2] = t3 + (mixed_3_share[1] * mode_filtered_state[5]);
+    gps_glitch_mixing_and_prediction_2(mixed_3_share, mixed_apart_most, mode_filtered_covariance,
+        mixed_apart_squared, mixed_3_covariance);
 }
 
 /* innovation of the mixture. */
@@ -774,6 +671,17 @@ GPS_GLITCH_INLINE void gps_glitch_mode_5(const double *mode_state, const double 
     }
 }
 
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_7(const double *mode_filtered_covariance,
+    double *mixed_limits)
+{
+    const double t0 = mode_filtered_covariance[0] + mode_filtered_covariance[6];
+    const double t1 = t0 + mode_filtered_covariance[12] + mode_filtered_covariance[18];
+    const double t2 = 1000000000.0 * t1;
+    const double t3 = (t2 <= 0.0) ? 1.0 : 0.0;
+    mixed_limits[0] = (1.0 - t3) / (t2 + t3);
+}
+
 /* mode 2: no signal, R: row 1 of y, gps_height; mode 3: no signal, noise x 400: row 1 of y,
  * gps_height. */
 GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_6(const double *mode_covariance,
@@ -797,35 +705,28 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_6(const double *mode_covar
     return GPS_GLITCH_OK;
 }
 
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_7(const double *path_share_3,
-    const double path_share_inverse_3, const double *mode_filtered_state, double *mixed_3_mean,
-    const double *mode_filtered_covariance, double *mixed_3_within,
-    const double *mixed_apart_squared, double *mixed_3_covariance)
+/* probabilities of the modes. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(const double
+    *predicted_mode_probability, double *weight, const double *predicted_log_weight,
+    double *log_weight_now, const double log_density_m0, const double log_density_m1,
+    const double log_density_m2, const double log_density_m3, double *log_evidence,
+    const double *mode_state, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, const double *variance_m3, double *combined_variance,
+    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
+    const double innovation_m3_0, double *combined_innovation, const double innovation_m0_1,
+    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m3_1,
+    const double innovation_m0_2, const double innovation_m1_2, const double innovation_m2_2,
+    const double innovation_m3_2, double *whitening_inverse_combined_0,
+    double *whitening_combined_0_1, double *whitening_combined_0_2,
+    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
+    double *whitening_inverse_combined_2, uint32_t present)
 {
-    double mixed_3_inverse;
-    double mixed_3_share[2];
-    const double t0 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_inverse = 1.0 / (t0 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_inverse;
-    mixed_3_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_inverse;
-    gps_glitch_mixing_and_prediction_6(mixed_3_share, mode_filtered_state, mixed_3_mean,
-        mode_filtered_covariance, mixed_3_within, mixed_apart_squared, mixed_3_covariance);
-}
-
-/* innovation of the mixture. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_innovation_of_the_mixture_2(const double
-    *mode_state, const double *predicted_mode_probability, const double *variance_m0,
-    const double *variance_m1, const double *variance_m2, const double *variance_m3,
-    double *combined_variance, const double innovation_m0_0, const double innovation_m1_0,
-    const double innovation_m2_0, const double innovation_m3_0, double *combined_innovation,
-    const double innovation_m0_1, const double innovation_m1_1, const double innovation_m2_1,
-    const double innovation_m3_1, const double innovation_m0_2, const double innovation_m1_2,
-    const double innovation_m2_2, const double innovation_m3_2,
-    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
-    double *whitening_combined_0_2, double *whitening_inverse_combined_1,
-    double *whitening_combined_1_2, double *whitening_inverse_combined_2, uint32_t present)
-{
+    double log_joint[4] = { 0.0 };
+    double log_largest = 0.0;
+    double share_of_largest[4] = { 0.0 };
+    double share_total = 0.0;
+    double share_total_inverse = 0.0;
+    double log_share_total = 0.0;
     double predicted_y_m0[3];
     double predicted_y_m1[3];
     double predicted_y_m2[3];
@@ -834,6 +735,47 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_innovation_of_the_mixture_2(con
     double whitening_pivot_combined_1;
     double whitening_pivot_combined_2;
     gps_glitch_status_t status;
+
+    /* probabilities of the modes */
+    gps_glitch_copy(predicted_mode_probability, weight, 4);
+    gps_glitch_copy(predicted_log_weight, log_weight_now, 4);
+    if ((present) != 0u)
+    {
+        log_joint[0] = predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = predicted_log_weight[3] + log_density_m3;
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
+        share_of_largest[0] = gps_glitch_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = gps_glitch_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = gps_glitch_exp(log_joint[2] - log_largest);
+        share_of_largest[3] = gps_glitch_exp(log_joint[3] - log_largest);
+        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t2 + share_of_largest[3];
+        const double t3 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
+        if (!(t3 > 0.0)) { return GPS_GLITCH_RESULT_NOT_FINITE; }
+        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
+        {
+            return GPS_GLITCH_RESULT_NOT_FINITE;
+        }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = gps_glitch_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
+        const double t4 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t4 > GPS_GLITCH_LOG_ZERO) ? t4 : GPS_GLITCH_LOG_ZERO;
+        const double t5 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t5 > GPS_GLITCH_LOG_ZERO) ? t5 : GPS_GLITCH_LOG_ZERO;
+        const double t6 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t6 > GPS_GLITCH_LOG_ZERO) ? t6 : GPS_GLITCH_LOG_ZERO;
+        const double t7 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t7 > GPS_GLITCH_LOG_ZERO) ? t7 : GPS_GLITCH_LOG_ZERO;
+        log_evidence[0] = log_largest + log_share_total;
+    }
 
     /* innovation of the mixture */
     predicted_y_m0[0] = mode_state[0] + mode_state[2];
@@ -848,109 +790,108 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_innovation_of_the_mixture_2(con
     predicted_y_m3[0] = mode_state[9] + mode_state[11];
     predicted_y_m3[1] = 0.0;
     predicted_y_m3[2] = 0.0;
-    const double t0 = predicted_mode_probability[0] * variance_m0[0];
-    const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
-    const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
-    const double t3 = t2 + (predicted_mode_probability[3] * variance_m3[0]);
-    const double t4 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t5 = t4 + (predicted_mode_probability[1] * predicted_y_m1[0]);
-    const double t6 = t5 + (predicted_mode_probability[2] * predicted_y_m2[0]);
-    const double t7 = t6 + (predicted_mode_probability[3] * predicted_y_m3[0]);
-    const double t8 = predicted_y_m0[0] - t7;
-    const double t9 = predicted_mode_probability[0] * t8 * t8;
-    const double t10 = predicted_y_m1[0] - t7;
-    const double t11 = t9 + (predicted_mode_probability[1] * t10 * t10);
-    const double t12 = predicted_y_m2[0] - t7;
-    const double t13 = t11 + (predicted_mode_probability[2] * t12 * t12);
-    const double t14 = predicted_y_m3[0] - t7;
-    combined_variance[0] = t3 + (t13 + (predicted_mode_probability[3] * t14 * t14));
-    const double t15 = predicted_mode_probability[0] * variance_m0[1];
-    const double t16 = t15 + (predicted_mode_probability[1] * variance_m1[1]);
-    const double t17 = t16 + (predicted_mode_probability[2] * variance_m2[1]);
-    const double t18 = t17 + (predicted_mode_probability[3] * variance_m3[1]);
-    const double t19 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t20 = t19 + (predicted_mode_probability[1] * predicted_y_m1[1]);
-    const double t21 = t20 + (predicted_mode_probability[2] * predicted_y_m2[1]);
-    const double t22 = t21 + (predicted_mode_probability[3] * predicted_y_m3[1]);
-    const double t23 = predicted_y_m0[1] - t22;
-    const double t24 = predicted_mode_probability[0] * t23;
-    const double t25 = t24 * t8;
-    const double t26 = predicted_y_m1[1] - t22;
-    const double t27 = predicted_mode_probability[1] * t26;
-    const double t28 = t25 + (t27 * t10);
-    const double t29 = predicted_y_m2[1] - t22;
-    const double t30 = predicted_mode_probability[2] * t29;
-    const double t31 = t28 + (t30 * t12);
-    const double t32 = predicted_y_m3[1] - t22;
-    const double t33 = predicted_mode_probability[3] * t32;
-    combined_variance[1] = t18 + (t31 + (t33 * t14));
-    const double t34 = predicted_mode_probability[0] * variance_m0[2];
-    const double t35 = t34 + (predicted_mode_probability[1] * variance_m1[2]);
-    const double t36 = t35 + (predicted_mode_probability[2] * variance_m2[2]);
-    const double t37 = t36 + (predicted_mode_probability[3] * variance_m3[2]);
-    combined_variance[2] = t37 + ((t24 * t23) + (t27 * t26) + (t30 * t29) + (t33 * t32));
-    const double t38 = predicted_mode_probability[0] * variance_m0[3];
-    const double t39 = t38 + (predicted_mode_probability[1] * variance_m1[3]);
-    const double t40 = t39 + (predicted_mode_probability[2] * variance_m2[3]);
-    const double t41 = t40 + (predicted_mode_probability[3] * variance_m3[3]);
-    const double t42 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t43 = t42 + (predicted_mode_probability[1] * predicted_y_m1[2]);
-    const double t44 = t43 + (predicted_mode_probability[2] * predicted_y_m2[2]);
-    const double t45 = t44 + (predicted_mode_probability[3] * predicted_y_m3[2]);
-    const double t46 = predicted_y_m0[2] - t45;
-    const double t47 = predicted_mode_probability[0] * t46;
-    const double t48 = t47 * t8;
-    const double t49 = predicted_y_m1[2] - t45;
-    const double t50 = predicted_mode_probability[1] * t49;
-    const double t51 = t48 + (t50 * t10);
-    const double t52 = predicted_y_m2[2] - t45;
-    const double t53 = predicted_mode_probability[2] * t52;
-    const double t54 = t51 + (t53 * t12);
-    const double t55 = predicted_y_m3[2] - t45;
-    const double t56 = predicted_mode_probability[3] * t55;
-    combined_variance[3] = t41 + (t54 + (t56 * t14));
-    const double t57 = predicted_mode_probability[0] * variance_m0[4];
-    const double t58 = t57 + (predicted_mode_probability[1] * variance_m1[4]);
-    const double t59 = t58 + (predicted_mode_probability[2] * variance_m2[4]);
-    const double t60 = t59 + (predicted_mode_probability[3] * variance_m3[4]);
-    combined_variance[4] = t60 + ((t47 * t23) + (t50 * t26) + (t53 * t29) + (t56 * t32));
-    const double t61 = predicted_mode_probability[0] * variance_m0[5];
-    const double t62 = t61 + (predicted_mode_probability[1] * variance_m1[5]);
-    const double t63 = t62 + (predicted_mode_probability[2] * variance_m2[5]);
-    const double t64 = t63 + (predicted_mode_probability[3] * variance_m3[5]);
-    combined_variance[5] = t64 + ((t47 * t46) + (t50 * t49) + (t53 * t52) + (t56 * t55));
-    const double t65 = predicted_mode_probability[0] * innovation_m0_0;
-    const double t66 = t65 + (predicted_mode_probability[1] * innovation_m1_0);
-    const double t67 = t66 + (predicted_mode_probability[2] * innovation_m2_0);
-    combined_innovation[0] = t67 + (predicted_mode_probability[3] * innovation_m3_0);
-    const double t68 = predicted_mode_probability[0] * innovation_m0_1;
-    const double t69 = t68 + (predicted_mode_probability[1] * innovation_m1_1);
-    const double t70 = t69 + (predicted_mode_probability[2] * innovation_m2_1);
-    combined_innovation[1] = t70 + (predicted_mode_probability[3] * innovation_m3_1);
-    const double t71 = predicted_mode_probability[0] * innovation_m0_2;
-    const double t72 = t71 + (predicted_mode_probability[1] * innovation_m1_2);
-    const double t73 = t72 + (predicted_mode_probability[2] * innovation_m2_2);
-    combined_innovation[2] = t73 + (predicted_mode_probability[3] * innovation_m3_2);
-    const double t74 = 2.6645352591003757e-15 * combined_variance[0];
-    whitening_pivot_combined_0 = (combined_variance[0] > t74) ? combined_variance[0] : t74;
+    const double t8 = predicted_mode_probability[0] * variance_m0[0];
+    const double t9 = t8 + (predicted_mode_probability[1] * variance_m1[0]);
+    const double t10 = t9 + (predicted_mode_probability[2] * variance_m2[0]);
+    const double t11 = t10 + (predicted_mode_probability[3] * variance_m3[0]);
+    const double t12 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t13 = t12 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t14 = t13 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t15 = t14 + (predicted_mode_probability[3] * predicted_y_m3[0]);
+    const double t16 = predicted_y_m0[0] - t15;
+    const double t17 = predicted_mode_probability[0] * t16 * t16;
+    const double t18 = predicted_y_m1[0] - t15;
+    const double t19 = t17 + (predicted_mode_probability[1] * t18 * t18);
+    const double t20 = predicted_y_m2[0] - t15;
+    const double t21 = t19 + (predicted_mode_probability[2] * t20 * t20);
+    const double t22 = predicted_y_m3[0] - t15;
+    combined_variance[0] = t11 + (t21 + (predicted_mode_probability[3] * t22 * t22));
+    const double t23 = predicted_mode_probability[0] * variance_m0[1];
+    const double t24 = t23 + (predicted_mode_probability[1] * variance_m1[1]);
+    const double t25 = t24 + (predicted_mode_probability[2] * variance_m2[1]);
+    const double t26 = t25 + (predicted_mode_probability[3] * variance_m3[1]);
+    const double t27 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t28 = t27 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t29 = t28 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t30 = t29 + (predicted_mode_probability[3] * predicted_y_m3[1]);
+    const double t31 = predicted_y_m0[1] - t30;
+    const double t32 = predicted_mode_probability[0] * t31;
+    const double t33 = t32 * t16;
+    const double t34 = predicted_y_m1[1] - t30;
+    const double t35 = predicted_mode_probability[1] * t34;
+    const double t36 = t33 + (t35 * t18);
+    const double t37 = predicted_y_m2[1] - t30;
+    const double t38 = predicted_mode_probability[2] * t37;
+    const double t39 = t36 + (t38 * t20);
+    const double t40 = predicted_y_m3[1] - t30;
+    const double t41 = predicted_mode_probability[3] * t40;
+    combined_variance[1] = t26 + (t39 + (t41 * t22));
+    const double t42 = predicted_mode_probability[0] * variance_m0[2];
+    const double t43 = t42 + (predicted_mode_probability[1] * variance_m1[2]);
+    const double t44 = t43 + (predicted_mode_probability[2] * variance_m2[2]);
+    const double t45 = t44 + (predicted_mode_probability[3] * variance_m3[2]);
+    combined_variance[2] = t45 + ((t32 * t31) + (t35 * t34) + (t38 * t37) + (t41 * t40));
+    const double t46 = predicted_mode_probability[0] * variance_m0[3];
+    const double t47 = t46 + (predicted_mode_probability[1] * variance_m1[3]);
+    const double t48 = t47 + (predicted_mode_probability[2] * variance_m2[3]);
+    const double t49 = t48 + (predicted_mode_probability[3] * variance_m3[3]);
+    const double t50 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t51 = t50 + (predicted_mode_probability[1] * predicted_y_m1[2]);
+    const double t52 = t51 + (predicted_mode_probability[2] * predicted_y_m2[2]);
+    const double t53 = t52 + (predicted_mode_probability[3] * predicted_y_m3[2]);
+    const double t54 = predicted_y_m0[2] - t53;
+    const double t55 = predicted_mode_probability[0] * t54;
+    const double t56 = t55 * t16;
+    const double t57 = predicted_y_m1[2] - t53;
+    const double t58 = predicted_mode_probability[1] * t57;
+    const double t59 = t56 + (t58 * t18);
+    const double t60 = predicted_y_m2[2] - t53;
+    const double t61 = predicted_mode_probability[2] * t60;
+    const double t62 = t59 + (t61 * t20);
+    const double t63 = predicted_y_m3[2] - t53;
+    const double t64 = predicted_mode_probability[3] * t63;
+    combined_variance[3] = t49 + (t62 + (t64 * t22));
+    const double t65 = predicted_mode_probability[0] * variance_m0[4];
+    const double t66 = t65 + (predicted_mode_probability[1] * variance_m1[4]);
+    const double t67 = t66 + (predicted_mode_probability[2] * variance_m2[4]);
+    const double t68 = t67 + (predicted_mode_probability[3] * variance_m3[4]);
+    combined_variance[4] = t68 + ((t55 * t31) + (t58 * t34) + (t61 * t37) + (t64 * t40));
+    const double t69 = predicted_mode_probability[0] * variance_m0[5];
+    const double t70 = t69 + (predicted_mode_probability[1] * variance_m1[5]);
+    const double t71 = t70 + (predicted_mode_probability[2] * variance_m2[5]);
+    const double t72 = t71 + (predicted_mode_probability[3] * variance_m3[5]);
+    combined_variance[5] = t72 + ((t55 * t54) + (t58 * t57) + (t61 * t60) + (t64 * t63));
+    const double t73 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t74 = t73 + (predicted_mode_probability[1] * innovation_m1_0);
+    const double t75 = t74 + (predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation[0] = t75 + (predicted_mode_probability[3] * innovation_m3_0);
+    const double t76 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t77 = t76 + (predicted_mode_probability[1] * innovation_m1_1);
+    const double t78 = t77 + (predicted_mode_probability[2] * innovation_m2_1);
+    combined_innovation[1] = t78 + (predicted_mode_probability[3] * innovation_m3_1);
+    const double t79 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t80 = t79 + (predicted_mode_probability[1] * innovation_m1_2);
+    const double t81 = t80 + (predicted_mode_probability[2] * innovation_m2_2);
+    combined_innovation[2] = t81 + (predicted_mode_probability[3] * innovation_m3_2);
+    whitening_pivot_combined_0 = combined_variance[0];
     status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_0,
         whitening_inverse_combined_0, ((present & 0x1u) != 0u));
     if (status != GPS_GLITCH_OK) { return status; }
     whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
     whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
-    const double t75 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
-    const double t76 = 2.6645352591003757e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t75 > t76) ? t75 : t76;
+    const double t82 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
+    const double t83 = 2.6645352591003757e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t82 > t83) ? t82 : t83;
     status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_1,
         whitening_inverse_combined_1, ((present & 0x2u) != 0u));
     if (status != GPS_GLITCH_OK) { return status; }
-    const double t77 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    whitening_combined_1_2[0] = t77 * whitening_inverse_combined_1[0];
-    const double t78 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
-    const double t79 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t80 = t78 - (whitening_combined_1_2[0] * t79);
-    const double t81 = 2.6645352591003757e-15 * combined_variance[5];
-    whitening_pivot_combined_2 = (t80 > t81) ? t80 : t81;
+    const double t84 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t84 * whitening_inverse_combined_1[0];
+    const double t85 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t86 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t87 = t85 - (whitening_combined_1_2[0] * t86);
+    const double t88 = 2.6645352591003757e-15 * combined_variance[5];
+    whitening_pivot_combined_2 = (t87 > t88) ? t87 : t88;
     status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_2,
         whitening_inverse_combined_2, ((present & 0x4u) != 0u));
     if (status != GPS_GLITCH_OK) { return status; }
@@ -998,14 +939,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double weight[4];
     double log_weight_now[4];
     double log_evidence = 0.0;
-    double log_joint[4] = { 0.0 };
-    double log_largest = 0.0;
-    double share_of_largest[4] = { 0.0 };
-    double share_total = 0.0;
-    double share_total_inverse = 0.0;
-    double log_share_total = 0.0;
-    double combined_variance[6];
-    double combined_innovation[3];
+    double combined_variance[6] = { 0.0 };
+    double combined_innovation[3] = { 0.0 };
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1 = 0.0;
     double whitening_combined_0_2 = 0.0;
@@ -1014,12 +949,11 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double whitening_inverse_combined_2 = 0.0;
     double combined_0_3_share[2];
     double combined_0_1_mean[3];
-    double combined_0_1_within[3];
     double combined_0_1_covariance[6];
     double combined_2_3_mean[3];
-    double combined_2_3_within[3];
     double combined_2_3_covariance[6];
     double combined_0_3_mean[3];
+    double combined_0_3_apart[3];
     double combined_0_3_covariance[6];
     gps_glitch_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
@@ -1079,52 +1013,12 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
 
     /* probabilities of the modes */
-    gps_glitch_copy(self->predicted_mode_probability, weight, 4);
-    gps_glitch_copy(self->predicted_log_weight, log_weight_now, 4);
-    if ((present) != 0u)
-    {
-        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
-        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
-        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
-        log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
-        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
-        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
-        share_of_largest[0] = gps_glitch_exp(log_joint[0] - log_largest);
-        share_of_largest[1] = gps_glitch_exp(log_joint[1] - log_largest);
-        share_of_largest[2] = gps_glitch_exp(log_joint[2] - log_largest);
-        share_of_largest[3] = gps_glitch_exp(log_joint[3] - log_largest);
-        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
-        share_total = t2 + share_of_largest[3];
-        const double t3 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
-        if (!(t3 > 0.0)) { return GPS_GLITCH_RESULT_NOT_FINITE; }
-        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
-        share_total_inverse = 1.0 / share_total;
-        log_share_total = gps_glitch_log(share_total);
-        weight[0] = share_of_largest[0] * share_total_inverse;
-        weight[1] = share_of_largest[1] * share_total_inverse;
-        weight[2] = share_of_largest[2] * share_total_inverse;
-        weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t4 = (log_joint[0] - log_largest) - log_share_total;
-        log_weight_now[0] = (t4 > GPS_GLITCH_LOG_ZERO) ? t4 : GPS_GLITCH_LOG_ZERO;
-        const double t5 = (log_joint[1] - log_largest) - log_share_total;
-        log_weight_now[1] = (t5 > GPS_GLITCH_LOG_ZERO) ? t5 : GPS_GLITCH_LOG_ZERO;
-        const double t6 = (log_joint[2] - log_largest) - log_share_total;
-        log_weight_now[2] = (t6 > GPS_GLITCH_LOG_ZERO) ? t6 : GPS_GLITCH_LOG_ZERO;
-        const double t7 = (log_joint[3] - log_largest) - log_share_total;
-        log_weight_now[3] = (t7 > GPS_GLITCH_LOG_ZERO) ? t7 : GPS_GLITCH_LOG_ZERO;
-        log_evidence = log_largest + log_share_total;
-    }
-
-    /* innovation of the mixture */
-    status = gps_glitch_innovation_of_the_mixture_2(self->mode_state,
-        self->predicted_mode_probability, variance_m0, variance_m1, variance_m2, variance_m3,
-        combined_variance, innovation_m0_0, innovation_m1_0, innovation_m2_0, innovation_m3_0,
-        combined_innovation, innovation_m0_1, innovation_m1_1, innovation_m2_1, innovation_m3_1,
-        innovation_m0_2, innovation_m1_2, innovation_m2_2, innovation_m3_2,
+    status = gps_glitch_probabilities_of_the_modes(self->predicted_mode_probability, weight,
+        self->predicted_log_weight, log_weight_now, log_density_m0, log_density_m1, log_density_m2,
+        log_density_m3, &log_evidence, self->mode_state, variance_m0, variance_m1, variance_m2,
+        variance_m3, combined_variance, innovation_m0_0, innovation_m1_0, innovation_m2_0,
+        innovation_m3_0, combined_innovation, innovation_m0_1, innovation_m1_1, innovation_m2_1,
+        innovation_m3_1, innovation_m0_2, innovation_m1_2, innovation_m2_2, innovation_m3_2,
         &whitening_inverse_combined_0, &whitening_combined_0_1, &whitening_combined_0_2,
         &whitening_inverse_combined_1, &whitening_combined_1_2, &whitening_inverse_combined_2,
         present);
@@ -1134,27 +1028,47 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     combined_0_3_share[0] = weight[0] + weight[1];
     combined_0_3_share[1] = weight[2] + weight[3];
     gps_glitch_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
-        covariance_m1, combined_0_1_within, combined_0_1_covariance);
+        covariance_m1, combined_0_1_covariance);
     gps_glitch_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
-        covariance_m3, combined_2_3_within, combined_2_3_covariance);
+        covariance_m3, combined_2_3_covariance);
     gps_glitch_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_1_within, combined_2_3_within, combined_0_1_covariance, combined_2_3_covariance,
-        combined_0_3_covariance);
+        combined_0_3_apart);
+    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t5 = t2 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
+    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t10 = t2 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
+    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
     if (!gps_glitch_finite((gps_glitch_defect(combined_0_3_mean[0]) +
         gps_glitch_defect(combined_0_3_mean[1])) + gps_glitch_defect(combined_0_3_mean[2])))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
-    const double t8 = combined_innovation[0] * combined_innovation[0];
-    const double t9 = t8 * whitening_inverse_combined_0;
-    const double t10 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t11 = t9 + (t10 * t10 * whitening_inverse_combined_1);
-    const double t12 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t13 = t12 - (whitening_combined_1_2 * t10);
-    const double t14 = t11 + (t13 * t13 * whitening_inverse_combined_2);
+    const double t15 = combined_innovation[0] * combined_innovation[0];
+    const double t16 = t15 * whitening_inverse_combined_0;
+    const double t17 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t18 = t16 + (t17 * t17 * whitening_inverse_combined_1);
+    const double t19 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t20 = t19 - (whitening_combined_1_2 * t17);
+    const double t21 = t18 + (t20 * t20 * whitening_inverse_combined_2);
     if (!gps_glitch_finite((((gps_glitch_defect(combined_variance[0]) +
         gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[5]) +
-        gps_glitch_defect(t14))) + ((gps_glitch_defect(log_weight_now[0]) +
+        gps_glitch_defect(t21))) + ((gps_glitch_defect(log_weight_now[0]) +
         gps_glitch_defect(log_weight_now[1])) + (gps_glitch_defect(log_weight_now[2]) +
         gps_glitch_defect(log_weight_now[3])))) + (((gps_glitch_defect(log_evidence) +
         gps_glitch_defect(combined_0_3_covariance[0])) +
@@ -1168,7 +1082,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     }
     gps_glitch_copy(combined_innovation, next->innovation, 3);
     gps_glitch_copy(combined_variance, next->innovation_covariance, 6);
-    next->nis = t14;
+    next->nis = t21;
     gps_glitch_copy(weight, next->mode_probability, 4);
     gps_glitch_copy(log_weight_now, next->log_weight, 4);
     next->log_likelihood = log_evidence;
@@ -1202,13 +1116,14 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double path_share_3[4];
     double path_share_total_3;
     double path_share_inverse_3;
+    double mixed_limits[3];
     double mixed_0_0_3_share[2];
     double mixed_0_0_1_mean[3];
-    double mixed_0_0_1_within[3];
+    double mixed_apart_0_1_most;
     double mixed_apart_0_1_squared[6];
     double mixed_0_0_1_covariance[6];
     double mixed_0_2_3_mean[3];
-    double mixed_0_2_3_within[3];
+    double mixed_apart_2_3_most;
     double mixed_apart_2_3_squared[6];
     double mixed_0_2_3_covariance[6];
     double moved_state_0[3];
@@ -1216,11 +1131,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double mixed_1_0_3_share[2];
     double mixed_1_0_1_share[2];
     double mixed_1_0_1_mean[3];
-    double mixed_1_0_1_within[3];
     double mixed_1_0_1_covariance[6];
     double mixed_1_2_3_share[2];
     double mixed_1_2_3_mean[3];
-    double mixed_1_2_3_within[3];
     double mixed_1_2_3_covariance[6];
     double moved_state_1[3];
     double moved_covariance_1[6];
@@ -1229,10 +1142,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double moved_covariance_2[6];
     double mixed_3_0_3_share[2];
     double mixed_3_0_1_mean[3];
-    double mixed_3_0_1_within[3];
     double mixed_3_0_1_covariance[6];
     double mixed_3_2_3_mean[3];
-    double mixed_3_2_3_within[3];
     double mixed_3_2_3_covariance[6];
     double moved_state_3[3];
     double moved_covariance_3[6];
@@ -1273,48 +1184,51 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     path_share_inverse_3 = 1.0 / path_share_total_3;
 
     /* mixing and prediction of every mode */
+    gps_glitch_mixing_and_prediction_7(self->mode_filtered_covariance, mixed_limits);
+    gps_glitch_mixing_and_prediction_7(&self->mode_filtered_covariance[2], &mixed_limits[1]);
+    gps_glitch_mixing_and_prediction_7(&self->mode_filtered_covariance[5], &mixed_limits[2]);
     mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
-    gps_glitch_mixing_and_prediction_5(mixing_0, self->mode_filtered_state, mixed_0_0_1_mean,
-        self->mode_filtered_covariance, mixed_0_0_1_within, mixed_apart_0_1_squared,
-        mixed_0_0_1_covariance);
-    gps_glitch_mixing_and_prediction_5(&mixing_0[2], &self->mode_filtered_state[6],
-        mixed_0_2_3_mean, &self->mode_filtered_covariance[12], mixed_0_2_3_within,
-        mixed_apart_2_3_squared, mixed_0_2_3_covariance);
-    gps_glitch_mixing_and_prediction_3(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
-        mixed_0_0_1_within, mixed_0_2_3_within, mixed_0_0_1_covariance, mixed_0_2_3_covariance,
-        moved_state_0, Q, moved_covariance_0, params);
+    gps_glitch_mixing_and_prediction_4(mixing_0, self->mode_filtered_state, mixed_0_0_1_mean,
+        mixed_limits, &mixed_apart_0_1_most, mixed_apart_0_1_squared,
+        self->mode_filtered_covariance, mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_4(&mixing_0[2], &self->mode_filtered_state[6],
+        mixed_0_2_3_mean, mixed_limits, &mixed_apart_2_3_most, mixed_apart_2_3_squared,
+        &self->mode_filtered_covariance[12], mixed_0_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
+        mixed_limits, mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q,
+        moved_covariance_0, params);
     mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
     mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
-    gps_glitch_part_4(mixing_1, mixed_1_0_1_share);
-    gps_glitch_mixing_and_prediction_6(mixed_1_0_1_share, self->mode_filtered_state,
-        mixed_1_0_1_mean, self->mode_filtered_covariance, mixed_1_0_1_within,
-        mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    gps_glitch_part_4(&mixing_1[2], mixed_1_2_3_share);
-    gps_glitch_mixing_and_prediction_6(mixed_1_2_3_share, &self->mode_filtered_state[6],
-        mixed_1_2_3_mean, &self->mode_filtered_covariance[12], mixed_1_2_3_within,
-        mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    gps_glitch_mixing_and_prediction_3(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean,
-        mixed_1_0_1_within, mixed_1_2_3_within, mixed_1_0_1_covariance, mixed_1_2_3_covariance,
-        moved_state_1, Q, moved_covariance_1, params);
+    gps_glitch_mixing_and_prediction_3(mixing_1, mixed_1_0_1_share, self->mode_filtered_state,
+        mixed_1_0_1_mean);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_share, mixed_apart_0_1_most,
+        self->mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    gps_glitch_mixing_and_prediction_3(&mixing_1[2], mixed_1_2_3_share,
+        &self->mode_filtered_state[6], mixed_1_2_3_mean);
+    gps_glitch_mixing_and_prediction_2(mixed_1_2_3_share, mixed_apart_2_3_most,
+        &self->mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean,
+        mixed_limits, mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q,
+        moved_covariance_1, params);
     mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
     mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
-    gps_glitch_mixing_and_prediction_3(mixed_2_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
-        mixed_0_0_1_within, mixed_0_2_3_within, mixed_0_0_1_covariance, mixed_0_2_3_covariance,
-        moved_state_2, Q, moved_covariance_2, params);
+    gps_glitch_mixing_and_prediction(mixed_2_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean,
+        mixed_limits, mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q,
+        moved_covariance_2, params);
     const double t7 = path_share_3[0] * path_share_inverse_3;
     mixed_3_0_3_share[0] = t7 + (path_share_3[1] * path_share_inverse_3);
     const double t8 = path_share_3[2] * path_share_inverse_3;
     mixed_3_0_3_share[1] = t8 + (path_share_3[3] * path_share_inverse_3);
-    gps_glitch_mixing_and_prediction_7(path_share_3, path_share_inverse_3,
-        self->mode_filtered_state, mixed_3_0_1_mean, self->mode_filtered_covariance,
-        mixed_3_0_1_within, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
-    gps_glitch_mixing_and_prediction_7(&path_share_3[2], path_share_inverse_3,
-        &self->mode_filtered_state[6], mixed_3_2_3_mean, &self->mode_filtered_covariance[12],
-        mixed_3_2_3_within, mixed_apart_2_3_squared, mixed_3_2_3_covariance);
-    gps_glitch_mixing_and_prediction_3(mixed_3_0_3_share, mixed_3_0_1_mean, mixed_3_2_3_mean,
-        mixed_3_0_1_within, mixed_3_2_3_within, mixed_3_0_1_covariance, mixed_3_2_3_covariance,
-        moved_state_3, Q, moved_covariance_3, params);
+    gps_glitch_mixing_and_prediction_5(path_share_3, path_share_inverse_3,
+        self->mode_filtered_state, mixed_3_0_1_mean, mixed_apart_0_1_most,
+        self->mode_filtered_covariance, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
+    gps_glitch_mixing_and_prediction_5(&path_share_3[2], path_share_inverse_3,
+        &self->mode_filtered_state[6], mixed_3_2_3_mean, mixed_apart_2_3_most,
+        &self->mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_3_2_3_covariance);
+    gps_glitch_mixing_and_prediction(mixed_3_0_3_share, mixed_3_0_1_mean, mixed_3_2_3_mean,
+        mixed_limits, mixed_3_0_1_covariance, mixed_3_2_3_covariance, moved_state_3, Q,
+        moved_covariance_3, params);
 
     /* combined prediction */
     const double t9 = gps_glitch_log(mode_prediction_0);

@@ -537,49 +537,6 @@ RANGE_BEARING_INLINE void range_bearing_copy(const double *from, double *to, int
     }
 }
 
-/* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_2_3_share,
-    double *combined_2_3_factor, const double *combination_errors_2,
-    const double *combination_errors_3, const double *combined_2_3_within)
-{
-    combined_2_3_factor[0] = combined_2_3_share[0] * combined_2_3_share[1];
-    const double t0 = combined_2_3_share[0] * combined_2_3_share[1];
-    const double t1 = combination_errors_2[0] - combination_errors_3[0];
-    const double t2 = (t0 * (t1 * t1)) - (1000000000.0 * combined_2_3_within[0]);
-    const double t3 = combination_errors_2[1] - combination_errors_3[1];
-    const double t4 = (t0 * (t3 * t3)) - (1000000000.0 * combined_2_3_within[1]);
-    const double t5 = (t2 > t4) ? t2 : t4;
-    const double t6 = combination_errors_2[2] - combination_errors_3[2];
-    const double t7 = (t0 * (t6 * t6)) - (1000000000.0 * combined_2_3_within[2]);
-    const double t8 = (t5 > t7) ? t5 : t7;
-    if (t8 > 0.0)
-    {
-        const double t9 = combined_2_3_share[0] * combined_2_3_share[1];
-        const double t10 = 1000000000.0 * combined_2_3_within[0];
-        const double t11 = t10 + ((t10 <= 0.0) ? 1.0 : 0.0);
-        const double t12 = combination_errors_2[0] - combination_errors_3[0];
-        const double t13 = t9 * (t12 * t12);
-        const double t14 = (t13 > RANGE_BEARING_TINY) ? t13 : RANGE_BEARING_TINY;
-        const double t15 = t11 / t14;
-        const double t16 = (1.0 < t15) ? 1.0 : t15;
-        const double t17 = 1000000000.0 * combined_2_3_within[1];
-        const double t18 = t17 + ((t17 <= 0.0) ? 1.0 : 0.0);
-        const double t19 = combination_errors_2[1] - combination_errors_3[1];
-        const double t20 = t9 * (t19 * t19);
-        const double t21 = (t20 > RANGE_BEARING_TINY) ? t20 : RANGE_BEARING_TINY;
-        const double t22 = t18 / t21;
-        const double t23 = (t16 < t22) ? t16 : t22;
-        const double t24 = 1000000000.0 * combined_2_3_within[2];
-        const double t25 = t24 + ((t24 <= 0.0) ? 1.0 : 0.0);
-        const double t26 = combination_errors_2[2] - combination_errors_3[2];
-        const double t27 = t9 * (t26 * t26);
-        const double t28 = (t27 > RANGE_BEARING_TINY) ? t27 : RANGE_BEARING_TINY;
-        const double t29 = t25 / t28;
-        const double t30 = (t23 < t29) ? t23 : t29;
-        combined_2_3_factor[0] = t9 * t30;
-    }
-}
-
 /* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 1600: innovation, row by
  * row; mode 0: signal, R: innovation, row by row. */
 RANGE_BEARING_INLINE void range_bearing_mode_3(const double *y, const double seen,
@@ -723,61 +680,53 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode(const double *y, 
     return RANGE_BEARING_OK;
 }
 
-/* combination; part 3; mixing and prediction 2. */
-RANGE_BEARING_INLINE void range_bearing_part_6(const double *combined_2_3_share,
-    const double *combination_errors_2, const double *combination_errors_3,
-    double *combined_2_3_mean)
-{
-    const double t0 = combined_2_3_share[0] * combination_errors_2[0];
-    combined_2_3_mean[0] = t0 + (combined_2_3_share[1] * combination_errors_3[0]);
-    const double t1 = combined_2_3_share[0] * combination_errors_2[1];
-    combined_2_3_mean[1] = t1 + (combined_2_3_share[1] * combination_errors_3[1]);
-    const double t2 = combined_2_3_share[0] * combination_errors_2[2];
-    combined_2_3_mean[2] = t2 + (combined_2_3_share[1] * combination_errors_3[2]);
-}
-
 /* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_3(const double *combined_0_3_share,
-    const double *combined_0_1_mean, const double *combined_2_3_mean,
-    const double *combined_0_1_within, const double *combined_2_3_within,
+RANGE_BEARING_INLINE void range_bearing_part_2(const double *combined_0_3_share,
+    const double *combined_0_1_mean, const double *combined_2_3_mean, const double *limits,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance, const double *mean_m0, double *turn)
 {
     double combined_0_3_mean[3];
-    double combined_0_3_within[3];
-    double combined_0_3_factor;
     double combined_0_3_apart[3];
+    double combined_0_3_apart_most;
+    double combined_0_3_factor;
     double mean[3];
-    range_bearing_part_6(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
-        combined_0_3_mean);
-    range_bearing_part_6(combined_0_3_share, combined_0_1_within, combined_2_3_within,
-        combined_0_3_within);
-    range_bearing_part_2(combined_0_3_share, &combined_0_3_factor, combined_0_1_mean,
-        combined_2_3_mean, combined_0_3_within);
+    const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
+    combined_0_3_mean[0] = t0 + (combined_0_3_share[1] * combined_2_3_mean[0]);
+    const double t1 = combined_0_3_share[0] * combined_0_1_mean[1];
+    combined_0_3_mean[1] = t1 + (combined_0_3_share[1] * combined_2_3_mean[1]);
+    const double t2 = combined_0_3_share[0] * combined_0_1_mean[2];
+    combined_0_3_mean[2] = t2 + (combined_0_3_share[1] * combined_2_3_mean[2]);
     combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
     combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
     combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t2 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
-    combined_0_3_covariance[0] = t1 + t2;
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t5 = combined_0_3_factor * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
-    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t10 = combined_0_3_factor * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
-    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
+    const double t3 = limits[0] * (combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t4 = t3 + (limits[1] * (combined_0_3_apart[1] * combined_0_3_apart[1]));
+    const double t5 = t4 + (limits[2] * (combined_0_3_apart[2] * combined_0_3_apart[2]));
+    combined_0_3_apart_most = 1.0 / (t5 + RANGE_BEARING_TINY);
+    const double t6 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_factor = (t6 < combined_0_3_apart_most) ? t6 : combined_0_3_apart_most;
+    const double t7 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t8 = t7 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t9 = combined_0_3_factor * combined_0_3_apart[0] * combined_0_3_apart[0];
+    combined_0_3_covariance[0] = t8 + t9;
+    const double t10 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t11 = t10 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t12 = combined_0_3_factor * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t11 + (t12 * combined_0_3_apart[0]);
+    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t14 + (t12 * combined_0_3_apart[1]);
+    const double t15 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t16 = t15 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t17 = combined_0_3_factor * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t16 + (t17 * combined_0_3_apart[0]);
+    const double t18 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t19 = t18 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t19 + (t17 * combined_0_3_apart[1]);
+    const double t20 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t21 = t20 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t21 + (t17 * combined_0_3_apart[2]);
     range_bearing_copy(combined_0_3_mean, mean, 3);
     turn[0] = mean_m0[0] + mean[0];
     turn[1] = mean_m0[1] + mean[1];
@@ -883,44 +832,8 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction(const double *mixe
     mixed_covariance[2] = t5 + (mixed_factor * mixed_apart_squared[2]);
 }
 
-/* combination; mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_part_4(const double *combined_0_1_share,
-    double *combined_0_1_factor, const double *errors_1, const double *combined_0_1_within)
-{
-    combined_0_1_factor[0] = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t0 = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t1 = (t0 * (errors_1[0] * errors_1[0])) - (1000000000.0 * combined_0_1_within[0]);
-    const double t2 = (t0 * (errors_1[1] * errors_1[1])) - (1000000000.0 * combined_0_1_within[1]);
-    const double t3 = (t1 > t2) ? t1 : t2;
-    const double t4 = (t0 * (errors_1[2] * errors_1[2])) - (1000000000.0 * combined_0_1_within[2]);
-    const double t5 = (t3 > t4) ? t3 : t4;
-    if (t5 > 0.0)
-    {
-        const double t6 = combined_0_1_share[0] * combined_0_1_share[1];
-        const double t7 = 1000000000.0 * combined_0_1_within[0];
-        const double t8 = t7 + ((t7 <= 0.0) ? 1.0 : 0.0);
-        const double t9 = t6 * (errors_1[0] * errors_1[0]);
-        const double t10 = (t9 > RANGE_BEARING_TINY) ? t9 : RANGE_BEARING_TINY;
-        const double t11 = t8 / t10;
-        const double t12 = (1.0 < t11) ? 1.0 : t11;
-        const double t13 = 1000000000.0 * combined_0_1_within[1];
-        const double t14 = t13 + ((t13 <= 0.0) ? 1.0 : 0.0);
-        const double t15 = t6 * (errors_1[1] * errors_1[1]);
-        const double t16 = (t15 > RANGE_BEARING_TINY) ? t15 : RANGE_BEARING_TINY;
-        const double t17 = t14 / t16;
-        const double t18 = (t12 < t17) ? t12 : t17;
-        const double t19 = 1000000000.0 * combined_0_1_within[2];
-        const double t20 = t19 + ((t19 <= 0.0) ? 1.0 : 0.0);
-        const double t21 = t6 * (errors_1[2] * errors_1[2]);
-        const double t22 = (t21 > RANGE_BEARING_TINY) ? t21 : RANGE_BEARING_TINY;
-        const double t23 = t20 / t22;
-        const double t24 = (t18 < t23) ? t18 : t23;
-        combined_0_1_factor[0] = t6 * t24;
-    }
-}
-
-/* mixing and prediction of every mode; combined prediction; combination. */
-RANGE_BEARING_INLINE void range_bearing_part_5(const double *apart, double *apart_squared)
+/* combined prediction; part 3. */
+RANGE_BEARING_INLINE void range_bearing_part_7(const double *apart, double *apart_squared)
 {
     apart_squared[0] = apart[0] * apart[0];
     apart_squared[1] = apart[1] * apart[0];
@@ -930,8 +843,19 @@ RANGE_BEARING_INLINE void range_bearing_part_5(const double *apart, double *apar
     apart_squared[5] = apart[2] * apart[2];
 }
 
+/* combination; mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_part_3(const double *apart, const double *limits,
+    double *apart_most, double *apart_squared, const double *share, double *factor)
+{
+    const double t0 = (limits[0] * (apart[0] * apart[0])) + (limits[1] * (apart[1] * apart[1]));
+    apart_most[0] = 1.0 / (t0 + (limits[2] * (apart[2] * apart[2])) + RANGE_BEARING_TINY);
+    range_bearing_part_7(apart, apart_squared);
+    const double t1 = share[0] * share[1];
+    factor[0] = (t1 < apart_most[0]) ? t1 : apart_most[0];
+}
+
 /* combination. */
-RANGE_BEARING_INLINE void range_bearing_combination_2(const double *combined_share,
+RANGE_BEARING_INLINE void range_bearing_combination(const double *combined_share,
     const double *covariance, const double *covariance_2, const double combined_factor,
     const double *combined_apart_squared, double *combined_covariance)
 {
@@ -939,62 +863,8 @@ RANGE_BEARING_INLINE void range_bearing_combination_2(const double *combined_sha
     combined_covariance[0] = t0 + (combined_factor * combined_apart_squared[0]);
     const double t1 = (combined_share[0] * covariance[1]) + (combined_share[1] * covariance_2[1]);
     combined_covariance[1] = t1 + (combined_factor * combined_apart_squared[1]);
-}
-
-/* combination. */
-RANGE_BEARING_INLINE void range_bearing_combination(const double *combined_apart,
-    const double *combined_share, const double *covariance, const double *covariance_2,
-    const double combined_factor, double *combined_covariance)
-{
-    double combined_apart_squared[6];
-    range_bearing_part_5(combined_apart, combined_apart_squared);
-    range_bearing_combination_2(combined_share, covariance, covariance_2, combined_factor,
-        combined_apart_squared, combined_covariance);
-    range_bearing_combination_2(combined_share, &covariance[2], &covariance_2[2], combined_factor,
-        &combined_apart_squared[2], &combined_covariance[2]);
-    range_bearing_combination_2(combined_share, &covariance[4], &covariance_2[4], combined_factor,
-        &combined_apart_squared[4], &combined_covariance[4]);
-}
-
-/* mixing and prediction of every mode; mixing and prediction 2. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_6(const double *mixed_share,
-    const double *mode_filtered_covariance, const double mixed_factor,
-    const double *mixed_apart_squared, double *mixed_covariance)
-{
-    range_bearing_mixing_and_prediction(mixed_share, mode_filtered_covariance, mixed_factor,
-        mixed_apart_squared, mixed_covariance);
-    range_bearing_mixing_and_prediction(mixed_share, &mode_filtered_covariance[3], mixed_factor,
-        &mixed_apart_squared[3], &mixed_covariance[3]);
-}
-
-/* combination; mixing and prediction 2; mixing and prediction 4. */
-RANGE_BEARING_INLINE void range_bearing_part_8(const double *weight, double *share)
-{
-    double inverse;
-    inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
-    share[0] = weight[0] * inverse;
-    share[1] = weight[1] * inverse;
-}
-
-/* mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *mixed_0_1_share,
-    const double *mode_filtered_covariance, const double mixed_0_1_factor,
-    const double *mixed_apart_0_1_squared, double *mixed_0_1_covariance, const double *mixing,
-    double *mixed_2_3_share, const double *mixing_errors_2, const double *mixing_errors_3,
-    double *mixed_2_3_mean, double *mixed_2_3_within, double *mixed_2_3_factor)
-{
-    range_bearing_mixing_and_prediction_6(mixed_0_1_share, mode_filtered_covariance,
-        mixed_0_1_factor, mixed_apart_0_1_squared, mixed_0_1_covariance);
-    range_bearing_part_8(mixing, mixed_2_3_share);
-    range_bearing_part_6(mixed_2_3_share, mixing_errors_2, mixing_errors_3, mixed_2_3_mean);
-    const double t0 = mixed_2_3_share[0] * mode_filtered_covariance[12];
-    mixed_2_3_within[0] = t0 + (mixed_2_3_share[1] * mode_filtered_covariance[18]);
-    const double t1 = mixed_2_3_share[0] * mode_filtered_covariance[14];
-    mixed_2_3_within[1] = t1 + (mixed_2_3_share[1] * mode_filtered_covariance[20]);
-    const double t2 = mixed_2_3_share[0] * mode_filtered_covariance[17];
-    mixed_2_3_within[2] = t2 + (mixed_2_3_share[1] * mode_filtered_covariance[23]);
-    range_bearing_part_2(mixed_2_3_share, mixed_2_3_factor, mixing_errors_2, mixing_errors_3,
-        mixed_2_3_within);
+    const double t2 = (combined_share[0] * covariance[2]) + (combined_share[1] * covariance_2[2]);
+    combined_covariance[2] = t2 + (combined_factor * combined_apart_squared[2]);
 }
 
 /* innovation of the mixture. */
@@ -1022,8 +892,24 @@ RANGE_BEARING_INLINE void range_bearing_innovation_of_the_mixture(const double
     }
 }
 
+/* combination; mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_part_4(const double *weight, double *combined_2_3_share,
+    const double *errors_2, const double *errors_3, double *combined_2_3_mean)
+{
+    double combined_2_3_inverse;
+    combined_2_3_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_2_3_share[0] = weight[0] * combined_2_3_inverse;
+    combined_2_3_share[1] = weight[1] * combined_2_3_inverse;
+    const double t0 = combined_2_3_share[0] * errors_2[0];
+    combined_2_3_mean[0] = t0 + (combined_2_3_share[1] * errors_3[0]);
+    const double t1 = combined_2_3_share[0] * errors_2[1];
+    combined_2_3_mean[1] = t1 + (combined_2_3_share[1] * errors_3[1]);
+    const double t2 = combined_2_3_share[0] * errors_2[2];
+    combined_2_3_mean[2] = t2 + (combined_2_3_share[1] * errors_3[2]);
+}
+
 /* mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_3(const double *moved,
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_2(const double *moved,
     double *moved_state, const double *mixed_0_3_covariance, double *moved_covariance)
 {
     range_bearing_copy(moved, moved_state, 3);
@@ -1042,36 +928,34 @@ RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_3(const double *mo
     moved_covariance[4] = t3;
 }
 
-/* combination; mixing and prediction 4. */
-RANGE_BEARING_INLINE void range_bearing_part_9(const double *weight, double *combined_0_3_share,
+/* combination; mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_part_5(const double *weight, double *combined_0_3_share,
     double *combined_0_1_share, const double *errors_1, double *combined_0_1_mean)
 {
+    double combined_0_1_inverse;
     combined_0_3_share[0] = weight[0] + weight[1];
     combined_0_3_share[1] = weight[2] + weight[3];
-    range_bearing_part_8(weight, combined_0_1_share);
+    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + RANGE_BEARING_TINY);
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
     combined_0_1_mean[0] = combined_0_1_share[1] * errors_1[0];
     combined_0_1_mean[1] = combined_0_1_share[1] * errors_1[1];
     combined_0_1_mean[2] = combined_0_1_share[1] * errors_1[2];
 }
 
 /* mixing and prediction of every mode. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_4(const double *mixing,
-    double *mixed_0_3_share, double *mixed_0_1_share, const double *mixing_errors_1,
-    double *mixed_0_1_mean, const double *mode_filtered_covariance, double *mixed_0_1_within,
-    double *mixed_0_1_factor)
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_3(const double *mixed_share,
+    const double *mode_filtered_covariance, const double mixed_factor,
+    const double *mixed_apart_squared, double *mixed_covariance)
 {
-    range_bearing_part_9(mixing, mixed_0_3_share, mixed_0_1_share, mixing_errors_1, mixed_0_1_mean);
-    const double t0 = mixed_0_1_share[0] * mode_filtered_covariance[0];
-    mixed_0_1_within[0] = t0 + (mixed_0_1_share[1] * mode_filtered_covariance[6]);
-    const double t1 = mixed_0_1_share[0] * mode_filtered_covariance[2];
-    mixed_0_1_within[1] = t1 + (mixed_0_1_share[1] * mode_filtered_covariance[8]);
-    const double t2 = mixed_0_1_share[0] * mode_filtered_covariance[5];
-    mixed_0_1_within[2] = t2 + (mixed_0_1_share[1] * mode_filtered_covariance[11]);
-    range_bearing_part_4(mixed_0_1_share, mixed_0_1_factor, mixing_errors_1, mixed_0_1_within);
+    range_bearing_mixing_and_prediction(mixed_share, mode_filtered_covariance, mixed_factor,
+        mixed_apart_squared, mixed_covariance);
+    range_bearing_mixing_and_prediction(mixed_share, &mode_filtered_covariance[3], mixed_factor,
+        &mixed_apart_squared[3], &mixed_covariance[3]);
 }
 
 /* combination; combined prediction. */
-RANGE_BEARING_INLINE void range_bearing_part_7(const double *mean_m1, const double *mean_m0,
+RANGE_BEARING_INLINE void range_bearing_part_6(const double *mean_m1, const double *mean_m0,
     double *errors)
 {
     errors[0] = mean_m1[0] - mean_m0[0];
@@ -1121,7 +1005,7 @@ RANGE_BEARING_INLINE void range_bearing_propagate_2(const double *mode_probabili
 }
 
 /* mixing and prediction of every mode: linearisation. */
-RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_5(const double *u,
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_4(const double *u,
     const double *turn_mixing, double *moved)
 {
     const double t0 = 0.1 * u[0];
@@ -1150,6 +1034,44 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_innovation_of_the_mixt
         whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
     }
     return RANGE_BEARING_OK;
+}
+
+/* mixing and prediction of every mode. */
+RANGE_BEARING_INLINE void range_bearing_mixing_and_prediction_5(const double
+    *mode_filtered_covariance, double *mixed_limits)
+{
+    const double t0 = mode_filtered_covariance[0] + mode_filtered_covariance[6];
+    const double t1 = t0 + mode_filtered_covariance[12] + mode_filtered_covariance[18];
+    const double t2 = 1000000000.0 * t1;
+    const double t3 = (t2 <= 0.0) ? 1.0 : 0.0;
+    mixed_limits[0] = (1.0 - t3) / (t2 + t3);
+}
+
+/* combination. */
+RANGE_BEARING_INLINE void range_bearing_combination_2(const double *combined_apart,
+    const double *combined_limits, const double *combined_share, const double *covariance,
+    const double *covariance_2, double *combined_covariance)
+{
+    double combined_apart_most;
+    double combined_apart_squared[6];
+    double combined_factor;
+    range_bearing_part_3(combined_apart, combined_limits, &combined_apart_most,
+        combined_apart_squared, combined_share, &combined_factor);
+    range_bearing_combination(combined_share, covariance, covariance_2, combined_factor,
+        combined_apart_squared, combined_covariance);
+    range_bearing_combination(combined_share, &covariance[3], &covariance_2[3], combined_factor,
+        &combined_apart_squared[3], &combined_covariance[3]);
+}
+
+/* combination. */
+RANGE_BEARING_INLINE void range_bearing_combination_3(const double covariance_m0,
+    const double covariance_m1, const double covariance_m2, const double covariance_m3,
+    double *combined_limits)
+{
+    const double t0 = covariance_m0 + covariance_m1 + covariance_m2 + covariance_m3;
+    const double t1 = 1000000000.0 * t0;
+    const double t2 = (t1 <= 0.0) ? 1.0 : 0.0;
+    combined_limits[0] = (1.0 - t2) / (t1 + t2);
 }
 
 /* innovation of the mixture. */
@@ -1299,53 +1221,63 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_innovation_of_the_mixt
     combined_innovation[0] = t90 + (predicted_mode_probability[3] * innovation_m3_0);
     combined_innovation[1] = combined_angle_1;
     combined_innovation[2] = combined_angle_2;
-    const double t91 = 2.6645352591003757e-15 * combined_variance[0];
-    whitening_pivot_combined_0 = (combined_variance[0] > t91) ? combined_variance[0] : t91;
+    whitening_pivot_combined_0 = combined_variance[0];
     status = range_bearing_innovation_of_the_mixture_2(whitening_pivot_combined_0,
         whitening_inverse_combined_0, ((present & 0x1u) != 0u));
     if (status != RANGE_BEARING_OK) { return status; }
     whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
     whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
-    const double t92 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
-    const double t93 = 2.6645352591003757e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t92 > t93) ? t92 : t93;
+    const double t91 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
+    const double t92 = 2.6645352591003757e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t91 > t92) ? t91 : t92;
     status = range_bearing_innovation_of_the_mixture_2(whitening_pivot_combined_1,
         whitening_inverse_combined_1, ((present & 0x2u) != 0u));
     if (status != RANGE_BEARING_OK) { return status; }
-    const double t94 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    whitening_combined_1_2[0] = t94 * whitening_inverse_combined_1[0];
-    const double t95 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
-    const double t96 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t97 = t95 - (whitening_combined_1_2[0] * t96);
-    const double t98 = 2.6645352591003757e-15 * combined_variance[5];
-    whitening_pivot_combined_2 = (t97 > t98) ? t97 : t98;
+    const double t93 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t93 * whitening_inverse_combined_1[0];
+    const double t94 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t95 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t96 = t94 - (whitening_combined_1_2[0] * t95);
+    const double t97 = 2.6645352591003757e-15 * combined_variance[5];
+    whitening_pivot_combined_2 = (t96 > t97) ? t96 : t97;
     status = range_bearing_innovation_of_the_mixture_2(whitening_pivot_combined_2,
         whitening_inverse_combined_2, ((present & 0x4u) != 0u));
     if (status != RANGE_BEARING_OK) { return status; }
     return RANGE_BEARING_OK;
 }
 
-/* mode 3: no signal, noise x 1600. */
-RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double determinant_m3_0,
-    const double log_constant_m3, const double quadratic_m3,
+/* mode 2: no signal, R. */
+RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double determinant_m2_0,
+    const double log_constant_m2, const double quadratic_m2, const double *y, const double *seen,
+    const double *mode_state, const double *mode_covariance,
     const double *predicted_mode_probability, const double *predicted_log_weight,
-    const double log_density_m0, const double log_density_m1, const double log_density_m2,
-    const double *seen, const double *mode_state, const double pivot_m0_0, const double pivot_m1_0,
-    const double *coupling_m0_0, const double *coupling_m1_0, const double *factor_m0_0,
-    const double pivot_m0_1, const double *factor_m1_0, const double pivot_m1_1,
-    const double pivot_m2_1, const double pivot_m3_1, const double coupling_m0_1,
-    const double coupling_m1_1, const double coupling_m2_1, const double coupling_m3_1,
-    const double pivot_m0_2, const double factor_m0_1, const double pivot_m1_2,
-    const double factor_m1_1, const double factor_m2_1, const double pivot_m2_2,
-    const double factor_m3_1, const double pivot_m3_2, const double *y,
-    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
-    const double innovation_m3_0, const double *mean_m1, const double *mean_m0,
-    const double *mean_m2, const double *mean_m3, const double *covariance_m0,
-    const double *covariance_m1, const double *covariance_m2, const double *covariance_m3,
-    double *innovation, double *innovation_covariance, double *nis, double *mode_probability,
-    double *log_weight, double *log_likelihood, double *filtered_state, double *filtered_covariance,
+    const double log_density_m0, const double log_density_m1, const double pivot_m0_0,
+    const double pivot_m1_0, const double *coupling_m0_0, const double *coupling_m1_0,
+    const double *factor_m0_0, const double pivot_m0_1, const double *factor_m1_0,
+    const double pivot_m1_1, const double pivot_m2_1, const double coupling_m0_1,
+    const double coupling_m1_1, const double coupling_m2_1, const double pivot_m0_2,
+    const double factor_m0_1, const double pivot_m1_2, const double factor_m1_1,
+    const double factor_m2_1, const double pivot_m2_2, const double innovation_m0_0,
+    const double innovation_m1_0, const double innovation_m2_0, const double *mean_m1,
+    const double *mean_m0, const double *mean_m2, const double *covariance_m0,
+    const double *covariance_m1, const double *covariance_m2, double *innovation,
+    double *innovation_covariance, double *nis, double *mode_probability, double *log_weight,
+    double *log_likelihood, double *filtered_state, double *filtered_covariance,
     double *mode_filtered_state, double *mode_filtered_covariance, uint32_t present)
 {
+    double log_density_m2;
+    double innovation_m3_0 = 0.0;
+    double innovation_m3_1 = 0.0;
+    double innovation_m3_2 = 0.0;
+    double mean_m3[3] = { 0.0 };
+    double covariance_m3[6] = { 0.0 };
+    double quadratic_m3 = 0.0;
+    double log_constant_m3 = 0.0;
+    double coupling_m3_1;
+    double pivot_m3_1;
+    double factor_m3_1 = 0.0;
+    double determinant_m3_0 = 1.0;
+    double pivot_m3_2 = 0.0;
     double log_density_m3;
     double weight[4];
     double log_weight_now[4];
@@ -1367,26 +1299,38 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
     double combination_errors_1[3];
     double combination_errors_2[3];
     double combination_errors_3[3];
+    double combined_limits[3];
     double combined_0_3_share[2];
     double combined_0_1_share[2];
     double combined_0_1_mean[3];
-    double combined_0_1_within[3];
-    double combined_0_1_factor;
     double combined_apart_0_1[3];
     double combined_0_1_covariance[6];
     double combined_2_3_share[2];
     double combined_2_3_mean[3];
-    double combined_2_3_within[3];
-    double combined_2_3_factor;
     double combined_apart_2_3[3];
     double combined_2_3_covariance[6];
     double combined_0_3_covariance[6];
     double turn_combination[3];
     range_bearing_status_t status;
 
+    /* mode 2: no signal, R */
+    const double t0 = quadratic_m2 + (log_constant_m2 + range_bearing_log(determinant_m2_0));
+    log_density_m2 = -0.5 * t0;
+
+    /* mode 3: no signal, noise x 1600: innovation, row by row */
+    range_bearing_mode_4(y, &innovation_m3_0, seen[15], &innovation_m3_1, &mode_state[7],
+        &innovation_m3_2, mean_m3, mode_covariance, covariance_m3, present);
+
+    /* mode 3: no signal, noise x 1600: row 0 of y, range */
+    status = range_bearing_mode_2(innovation_m3_0, &quadratic_m3, &log_constant_m3, mode_covariance,
+        &seen[16], &coupling_m3_1, &pivot_m3_1, innovation_m3_1, &mode_state[7], &factor_m3_1,
+        &determinant_m3_0, mean_m3, covariance_m3, &pivot_m3_2, innovation_m3_2,
+        range_bearing_mode_2_numbers[1], present);
+    if (status != RANGE_BEARING_OK) { return status; }
+
     /* mode 3: no signal, noise x 1600 */
-    const double t0 = quadratic_m3 + (log_constant_m3 + range_bearing_log(determinant_m3_0));
-    log_density_m3 = -0.5 * t0;
+    const double t1 = quadratic_m3 + (log_constant_m3 + range_bearing_log(determinant_m3_0));
+    log_density_m3 = -0.5 * t1;
 
     /* probabilities of the modes */
     range_bearing_copy(predicted_mode_probability, weight, 4);
@@ -1397,17 +1341,17 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
         log_joint[1] = predicted_log_weight[1] + log_density_m1;
         log_joint[2] = predicted_log_weight[2] + log_density_m2;
         log_joint[3] = predicted_log_weight[3] + log_density_m3;
-        const double t1 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t2 = (t1 > log_joint[2]) ? t1 : log_joint[2];
-        log_largest = (t2 > log_joint[3]) ? t2 : log_joint[3];
+        const double t2 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t3 = (t2 > log_joint[2]) ? t2 : log_joint[2];
+        log_largest = (t3 > log_joint[3]) ? t3 : log_joint[3];
         share_of_largest[0] = range_bearing_exp(log_joint[0] - log_largest);
         share_of_largest[1] = range_bearing_exp(log_joint[1] - log_largest);
         share_of_largest[2] = range_bearing_exp(log_joint[2] - log_largest);
         share_of_largest[3] = range_bearing_exp(log_joint[3] - log_largest);
-        const double t3 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
-        share_total = t3 + share_of_largest[3];
-        const double t4 = log_largest - RANGE_BEARING_LEAST_LOG_DENSITY;
-        if (!(t4 > 0.0)) { return RANGE_BEARING_RESULT_NOT_FINITE; }
+        const double t4 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t4 + share_of_largest[3];
+        const double t5 = log_largest - RANGE_BEARING_LEAST_LOG_DENSITY;
+        if (!(t5 > 0.0)) { return RANGE_BEARING_RESULT_NOT_FINITE; }
         if (!range_bearing_finite(range_bearing_defect(share_total)))
         {
             return RANGE_BEARING_RESULT_NOT_FINITE;
@@ -1418,14 +1362,14 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t5 = (log_joint[0] - log_largest) - log_share_total;
-        log_weight_now[0] = (t5 > RANGE_BEARING_LOG_ZERO) ? t5 : RANGE_BEARING_LOG_ZERO;
-        const double t6 = (log_joint[1] - log_largest) - log_share_total;
-        log_weight_now[1] = (t6 > RANGE_BEARING_LOG_ZERO) ? t6 : RANGE_BEARING_LOG_ZERO;
-        const double t7 = (log_joint[2] - log_largest) - log_share_total;
-        log_weight_now[2] = (t7 > RANGE_BEARING_LOG_ZERO) ? t7 : RANGE_BEARING_LOG_ZERO;
-        const double t8 = (log_joint[3] - log_largest) - log_share_total;
-        log_weight_now[3] = (t8 > RANGE_BEARING_LOG_ZERO) ? t8 : RANGE_BEARING_LOG_ZERO;
+        const double t6 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t6 > RANGE_BEARING_LOG_ZERO) ? t6 : RANGE_BEARING_LOG_ZERO;
+        const double t7 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t7 > RANGE_BEARING_LOG_ZERO) ? t7 : RANGE_BEARING_LOG_ZERO;
+        const double t8 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t8 > RANGE_BEARING_LOG_ZERO) ? t8 : RANGE_BEARING_LOG_ZERO;
+        const double t9 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t9 > RANGE_BEARING_LOG_ZERO) ? t9 : RANGE_BEARING_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
@@ -1434,65 +1378,54 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
         pivot_m0_0, pivot_m1_0, coupling_m0_0, coupling_m1_0, factor_m0_0, pivot_m0_1, factor_m1_0,
         pivot_m1_1, pivot_m2_1, pivot_m3_1, coupling_m0_1, coupling_m1_1, coupling_m2_1,
         coupling_m3_1, pivot_m0_2, factor_m0_1, pivot_m1_2, factor_m1_1, factor_m2_1, pivot_m2_2,
-        factor_m3_1, pivot_m3_2, combined_variance, y, innovation_m0_0, innovation_m1_0,
+        factor_m3_1, pivot_m3_2, combined_variance, &y[1], innovation_m0_0, innovation_m1_0,
         innovation_m2_0, innovation_m3_0, combined_innovation, &whitening_inverse_combined_0,
         &whitening_combined_0_1, &whitening_combined_0_2, &whitening_inverse_combined_1,
         &whitening_combined_1_2, &whitening_inverse_combined_2, present);
     if (status != RANGE_BEARING_OK) { return status; }
 
     /* combination */
-    range_bearing_part_7(mean_m1, mean_m0, combination_errors_1);
-    range_bearing_part_7(mean_m2, mean_m0, combination_errors_2);
-    range_bearing_part_7(mean_m3, mean_m0, combination_errors_3);
-    range_bearing_part_9(weight, combined_0_3_share, combined_0_1_share, combination_errors_1,
+    range_bearing_part_6(mean_m1, mean_m0, combination_errors_1);
+    range_bearing_part_6(mean_m2, mean_m0, combination_errors_2);
+    range_bearing_part_6(mean_m3, mean_m0, combination_errors_3);
+    range_bearing_combination_3(covariance_m0[0], covariance_m1[0], covariance_m2[0],
+        covariance_m3[0], combined_limits);
+    range_bearing_combination_3(covariance_m0[2], covariance_m1[2], covariance_m2[2],
+        covariance_m3[2], &combined_limits[1]);
+    range_bearing_combination_3(covariance_m0[5], covariance_m1[5], covariance_m2[5],
+        covariance_m3[5], &combined_limits[2]);
+    range_bearing_part_5(weight, combined_0_3_share, combined_0_1_share, combination_errors_1,
         combined_0_1_mean);
-    const double t9 = combined_0_1_share[0] * covariance_m0[0];
-    combined_0_1_within[0] = t9 + (combined_0_1_share[1] * covariance_m1[0]);
-    const double t10 = combined_0_1_share[0] * covariance_m0[2];
-    combined_0_1_within[1] = t10 + (combined_0_1_share[1] * covariance_m1[2]);
-    const double t11 = combined_0_1_share[0] * covariance_m0[5];
-    combined_0_1_within[2] = t11 + (combined_0_1_share[1] * covariance_m1[5]);
-    range_bearing_part_4(combined_0_1_share, &combined_0_1_factor, combination_errors_1,
-        combined_0_1_within);
     combined_apart_0_1[0] = -combination_errors_1[0];
     combined_apart_0_1[1] = -combination_errors_1[1];
     combined_apart_0_1[2] = -combination_errors_1[2];
-    range_bearing_combination(combined_apart_0_1, combined_0_1_share, covariance_m0, covariance_m1,
-        combined_0_1_factor, combined_0_1_covariance);
-    range_bearing_part_8(&weight[2], combined_2_3_share);
-    range_bearing_part_6(combined_2_3_share, combination_errors_2, combination_errors_3,
+    range_bearing_combination_2(combined_apart_0_1, combined_limits, combined_0_1_share,
+        covariance_m0, covariance_m1, combined_0_1_covariance);
+    range_bearing_part_4(&weight[2], combined_2_3_share, combination_errors_2, combination_errors_3,
         combined_2_3_mean);
-    const double t12 = combined_2_3_share[0] * covariance_m2[0];
-    combined_2_3_within[0] = t12 + (combined_2_3_share[1] * covariance_m3[0]);
-    const double t13 = combined_2_3_share[0] * covariance_m2[2];
-    combined_2_3_within[1] = t13 + (combined_2_3_share[1] * covariance_m3[2]);
-    const double t14 = combined_2_3_share[0] * covariance_m2[5];
-    combined_2_3_within[2] = t14 + (combined_2_3_share[1] * covariance_m3[5]);
-    range_bearing_part_2(combined_2_3_share, &combined_2_3_factor, combination_errors_2,
-        combination_errors_3, combined_2_3_within);
     combined_apart_2_3[0] = combination_errors_2[0] - combination_errors_3[0];
     combined_apart_2_3[1] = combination_errors_2[1] - combination_errors_3[1];
     combined_apart_2_3[2] = combination_errors_2[2] - combination_errors_3[2];
-    range_bearing_combination(combined_apart_2_3, combined_2_3_share, covariance_m2, covariance_m3,
-        combined_2_3_factor, combined_2_3_covariance);
-    range_bearing_part_3(combined_0_3_share, combined_0_1_mean, combined_2_3_mean,
-        combined_0_1_within, combined_2_3_within, combined_0_1_covariance, combined_2_3_covariance,
-        combined_0_3_covariance, mean_m0, turn_combination);
+    range_bearing_combination_2(combined_apart_2_3, combined_limits, combined_2_3_share,
+        covariance_m2, covariance_m3, combined_2_3_covariance);
+    range_bearing_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_limits,
+        combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance, mean_m0,
+        turn_combination);
     if (!range_bearing_finite((range_bearing_defect(turn_combination[0]) +
         range_bearing_defect(turn_combination[1])) + range_bearing_defect(turn_combination[2])))
     {
         return RANGE_BEARING_RESULT_NOT_FINITE;
     }
-    const double t15 = combined_innovation[0] * combined_innovation[0];
-    const double t16 = t15 * whitening_inverse_combined_0;
-    const double t17 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t18 = t16 + (t17 * t17 * whitening_inverse_combined_1);
-    const double t19 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t20 = t19 - (whitening_combined_1_2 * t17);
-    const double t21 = t18 + (t20 * t20 * whitening_inverse_combined_2);
+    const double t10 = combined_innovation[0] * combined_innovation[0];
+    const double t11 = t10 * whitening_inverse_combined_0;
+    const double t12 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t13 = t11 + (t12 * t12 * whitening_inverse_combined_1);
+    const double t14 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t15 = t14 - (whitening_combined_1_2 * t12);
+    const double t16 = t13 + (t15 * t15 * whitening_inverse_combined_2);
     if (!range_bearing_finite((((range_bearing_defect(combined_variance[0]) +
         range_bearing_defect(combined_variance[2])) + range_bearing_defect(combined_variance[5])) +
-        ((range_bearing_defect(t21) + range_bearing_defect(log_weight_now[0])) +
+        ((range_bearing_defect(t16) + range_bearing_defect(log_weight_now[0])) +
         range_bearing_defect(log_weight_now[1]))) + (((range_bearing_defect(log_weight_now[2]) +
         range_bearing_defect(log_weight_now[3])) + range_bearing_defect(log_evidence)) +
         ((range_bearing_defect(combined_0_3_covariance[0]) +
@@ -1503,7 +1436,7 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
     }
     range_bearing_copy(combined_innovation, innovation, 3);
     range_bearing_copy(combined_variance, innovation_covariance, 6);
-    nis[0] = t21;
+    nis[0] = t16;
     range_bearing_copy(weight, mode_probability, 4);
     range_bearing_copy(log_weight_now, log_weight, 4);
     log_likelihood[0] = log_evidence;
@@ -1517,6 +1450,160 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mode_5(const double de
     range_bearing_copy(covariance_m1, &mode_filtered_covariance[6], 6);
     range_bearing_copy(covariance_m2, &mode_filtered_covariance[12], 6);
     range_bearing_copy(covariance_m3, &mode_filtered_covariance[18], 6);
+    return RANGE_BEARING_OK;
+}
+
+/* mixing and prediction of every mode: linearisation. */
+RANGE_BEARING_INLINE range_bearing_status_t range_bearing_mixing_and_prediction_6(const double *u,
+    const double *turn_mixing_0, const double *mixed_0_0_3_covariance, const double *mixing_1,
+    const double *mixing_errors_1, const double mixed_apart_0_1_most,
+    const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
+    const double *mixing_errors_2, const double *mixing_errors_3, const double mixed_apart_2_3_most,
+    const double *mixed_apart_2_3_squared, const double *mixed_limits,
+    const double *mode_filtered_state, const double mode_prediction_0,
+    const double mode_prediction_1, double *predicted_mode_probability,
+    double *predicted_log_weight, double *mode_state, double *mode_covariance,
+    double *predicted_state, double *predicted_covariance)
+{
+    double moved_0[9];
+    double moved_state_0[3];
+    double moved_covariance_0[6];
+    double mixed_1_0_3_share[2];
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[3];
+    double mixed_1_0_1_factor;
+    double mixed_1_0_1_covariance[6];
+    double mixed_1_2_3_share[2];
+    double mixed_1_2_3_mean[3];
+    double mixed_1_2_3_factor;
+    double mixed_1_2_3_covariance[6];
+    double mixed_1_0_3_covariance[6];
+    double turn_mixing_1[3];
+    double moved_1[9];
+    double moved_state_1[3];
+    double moved_covariance_1[6];
+    double prediction_errors_1[3];
+    double predicted_0_1_share[2];
+    double predicted_0_1_mean[3];
+    double predicted_apart_0_1[3];
+    double predicted_apart_0_1_squared[6];
+    double predicted_0_1_covariance[6];
+    double prediction_mean[3];
+    double turn_prediction[3];
+
+    /* mixing and prediction of every mode: linearisation */
+    range_bearing_mixing_and_prediction_4(u, turn_mixing_0, moved_0);
+
+    /* mixing and prediction of every mode */
+    range_bearing_mixing_and_prediction_2(moved_0, moved_state_0, mixed_0_0_3_covariance,
+        moved_covariance_0);
+    range_bearing_part_5(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share, mixing_errors_1,
+        mixed_1_0_1_mean);
+    const double t0 = mixed_1_0_1_share[0] * mixed_1_0_1_share[1];
+    mixed_1_0_1_factor = (t0 < mixed_apart_0_1_most) ? t0 : mixed_apart_0_1_most;
+    range_bearing_mixing_and_prediction_3(mixed_1_0_1_share, mode_filtered_covariance,
+        mixed_1_0_1_factor, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    range_bearing_part_4(&mixing_1[2], mixed_1_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_1_2_3_mean);
+    const double t1 = mixed_1_2_3_share[0] * mixed_1_2_3_share[1];
+    mixed_1_2_3_factor = (t1 < mixed_apart_2_3_most) ? t1 : mixed_apart_2_3_most;
+    range_bearing_mixing_and_prediction_3(mixed_1_2_3_share, &mode_filtered_covariance[12],
+        mixed_1_2_3_factor, mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    range_bearing_part_2(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_limits,
+        mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance, mode_filtered_state,
+        turn_mixing_1);
+
+    /* mixing and prediction of every mode: linearisation */
+    range_bearing_mixing_and_prediction_4(u, turn_mixing_1, moved_1);
+
+    /* mixing and prediction of every mode */
+    range_bearing_mixing_and_prediction_2(moved_1, moved_state_1, mixed_1_0_3_covariance,
+        moved_covariance_1);
+
+    /* combined prediction */
+    range_bearing_part_6(moved_state_1, moved_state_0, prediction_errors_1);
+    predicted_0_1_share[0] = mode_prediction_0;
+    predicted_0_1_share[1] = mode_prediction_1;
+    predicted_0_1_mean[0] = predicted_0_1_share[1] * prediction_errors_1[0];
+    predicted_0_1_mean[1] = predicted_0_1_share[1] * prediction_errors_1[1];
+    predicted_0_1_mean[2] = predicted_0_1_share[1] * prediction_errors_1[2];
+    predicted_apart_0_1[0] = -prediction_errors_1[0];
+    predicted_apart_0_1[1] = -prediction_errors_1[1];
+    predicted_apart_0_1[2] = -prediction_errors_1[2];
+    range_bearing_part_7(predicted_apart_0_1, predicted_apart_0_1_squared);
+    const double t2 = predicted_0_1_share[0] * moved_covariance_0[0];
+    const double t3 = t2 + (predicted_0_1_share[1] * moved_covariance_1[0]);
+    const double t4 = predicted_0_1_share[0] * predicted_0_1_share[1];
+    predicted_0_1_covariance[0] = t3 + (t4 * predicted_apart_0_1_squared[0]);
+    const double t5 = predicted_0_1_share[0] * moved_covariance_0[1];
+    const double t6 = t5 + (predicted_0_1_share[1] * moved_covariance_1[1]);
+    predicted_0_1_covariance[1] = t6 + (t4 * predicted_apart_0_1_squared[1]);
+    const double t7 = predicted_0_1_share[0] * moved_covariance_0[2];
+    const double t8 = t7 + (predicted_0_1_share[1] * moved_covariance_1[2]);
+    predicted_0_1_covariance[2] = t8 + (t4 * predicted_apart_0_1_squared[2]);
+    const double t9 = predicted_0_1_share[0] * moved_covariance_0[3];
+    const double t10 = t9 + (predicted_0_1_share[1] * moved_covariance_1[3]);
+    predicted_0_1_covariance[3] = t10 + (t4 * predicted_apart_0_1_squared[3]);
+    const double t11 = predicted_0_1_share[0] * moved_covariance_0[4];
+    const double t12 = t11 + (predicted_0_1_share[1] * moved_covariance_1[4]);
+    predicted_0_1_covariance[4] = t12 + (t4 * predicted_apart_0_1_squared[4]);
+    const double t13 = predicted_0_1_share[0] * moved_covariance_0[5];
+    const double t14 = t13 + (predicted_0_1_share[1] * moved_covariance_1[5]);
+    predicted_0_1_covariance[5] = t14 + (t4 * predicted_apart_0_1_squared[5]);
+    range_bearing_copy(predicted_0_1_mean, prediction_mean, 3);
+    turn_prediction[0] = moved_state_0[0] + prediction_mean[0];
+    turn_prediction[1] = moved_state_0[1] + prediction_mean[1];
+    turn_prediction[2] = moved_state_0[2] + prediction_mean[2];
+    const double t15 = range_bearing_log(mode_prediction_0);
+    const double t16 = range_bearing_log(mode_prediction_1);
+    if (!range_bearing_finite(((range_bearing_defect(t15) + range_bearing_defect(t16)) +
+        (range_bearing_defect(turn_prediction[0]) + range_bearing_defect(turn_prediction[1]))) +
+        ((range_bearing_defect(turn_prediction[2]) +
+        range_bearing_defect(predicted_0_1_covariance[0])) +
+        (range_bearing_defect(predicted_0_1_covariance[2]) +
+        range_bearing_defect(predicted_0_1_covariance[5])))))
+    {
+        return RANGE_BEARING_RESULT_NOT_FINITE;
+    }
+    predicted_mode_probability[0] = mode_prediction_0;
+    predicted_mode_probability[1] = mode_prediction_1;
+    predicted_mode_probability[2] = 0.0;
+    predicted_mode_probability[3] = 0.0;
+    predicted_log_weight[0] = t15;
+    predicted_log_weight[1] = t16;
+    predicted_log_weight[2] = RANGE_BEARING_LOG_ZERO;
+    predicted_log_weight[3] = RANGE_BEARING_LOG_ZERO;
+    range_bearing_copy(moved_state_1, &mode_state[3], 3);
+    range_bearing_copy(moved_covariance_1, &mode_covariance[6], 6);
+    range_bearing_copy(turn_prediction, predicted_state, 3);
+    range_bearing_copy(predicted_0_1_covariance, predicted_covariance, 6);
+    mode_state[0] = moved_state_0[0];
+    mode_state[6] = moved_state_0[0];
+    mode_state[9] = moved_state_0[0];
+    mode_state[1] = moved_state_0[1];
+    mode_state[7] = moved_state_0[1];
+    mode_state[10] = moved_state_0[1];
+    mode_state[2] = moved_state_0[2];
+    mode_state[8] = moved_state_0[2];
+    mode_state[11] = moved_state_0[2];
+    mode_covariance[0] = moved_covariance_0[0];
+    mode_covariance[12] = moved_covariance_0[0];
+    mode_covariance[18] = moved_covariance_0[0];
+    mode_covariance[1] = moved_covariance_0[1];
+    mode_covariance[13] = moved_covariance_0[1];
+    mode_covariance[19] = moved_covariance_0[1];
+    mode_covariance[2] = moved_covariance_0[2];
+    mode_covariance[14] = moved_covariance_0[2];
+    mode_covariance[20] = moved_covariance_0[2];
+    mode_covariance[3] = moved_covariance_0[3];
+    mode_covariance[15] = moved_covariance_0[3];
+    mode_covariance[21] = moved_covariance_0[3];
+    mode_covariance[4] = moved_covariance_0[4];
+    mode_covariance[16] = moved_covariance_0[4];
+    mode_covariance[22] = moved_covariance_0[4];
+    mode_covariance[5] = moved_covariance_0[5];
+    mode_covariance[17] = moved_covariance_0[5];
+    mode_covariance[23] = moved_covariance_0[5];
     return RANGE_BEARING_OK;
 }
 
@@ -1559,19 +1646,6 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_correct(const range_be
     double factor_m2_1 = 0.0;
     double determinant_m2_0 = 1.0;
     double pivot_m2_2 = 0.0;
-    double log_density_m2;
-    double innovation_m3_0 = 0.0;
-    double innovation_m3_1 = 0.0;
-    double innovation_m3_2 = 0.0;
-    double mean_m3[3] = { 0.0 };
-    double covariance_m3[6] = { 0.0 };
-    double quadratic_m3 = 0.0;
-    double log_constant_m3 = 0.0;
-    double coupling_m3_1;
-    double pivot_m3_1;
-    double factor_m3_1 = 0.0;
-    double determinant_m3_0 = 1.0;
-    double pivot_m3_2 = 0.0;
     range_bearing_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[6] >= 0.0) &&
@@ -1647,31 +1721,15 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_correct(const range_be
     if (status != RANGE_BEARING_OK) { return status; }
 
     /* mode 2: no signal, R */
-    const double t12 = quadratic_m2 + (log_constant_m2 + range_bearing_log(determinant_m2_0));
-    log_density_m2 = -0.5 * t12;
-
-    /* mode 3: no signal, noise x 1600: innovation, row by row */
-    range_bearing_mode_4(y, &innovation_m3_0, seen[15], &innovation_m3_1, &self->mode_state[9],
-        &innovation_m3_2, mean_m3, &self->mode_covariance[18], covariance_m3, present);
-
-    /* mode 3: no signal, noise x 1600: row 0 of y, range */
-    status = range_bearing_mode_2(innovation_m3_0, &quadratic_m3, &log_constant_m3,
-        &self->mode_covariance[18], &seen[16], &coupling_m3_1, &pivot_m3_1, innovation_m3_1,
-        &self->mode_state[9], &factor_m3_1, &determinant_m3_0, mean_m3, covariance_m3, &pivot_m3_2,
-        innovation_m3_2, range_bearing_mode_2_numbers[1], present);
-    if (status != RANGE_BEARING_OK) { return status; }
-
-    /* mode 3: no signal, noise x 1600 */
-    status = range_bearing_mode_5(determinant_m3_0, log_constant_m3, quadratic_m3,
-        self->predicted_mode_probability, self->predicted_log_weight, log_density_m0,
-        log_density_m1, log_density_m2, seen, &self->mode_state[2], pivot_m0_0, pivot_m1_0,
+    status = range_bearing_mode_5(determinant_m2_0, log_constant_m2, quadratic_m2, y, seen,
+        &self->mode_state[2], &self->mode_covariance[18], self->predicted_mode_probability,
+        self->predicted_log_weight, log_density_m0, log_density_m1, pivot_m0_0, pivot_m1_0,
         coupling_m0_0, coupling_m1_0, factor_m0_0, pivot_m0_1, factor_m1_0, pivot_m1_1, pivot_m2_1,
-        pivot_m3_1, coupling_m0_1, coupling_m1_1, coupling_m2_1, coupling_m3_1, pivot_m0_2,
-        factor_m0_1, pivot_m1_2, factor_m1_1, factor_m2_1, pivot_m2_2, factor_m3_1, pivot_m3_2,
-        &y[1], innovation_m0_0, innovation_m1_0, innovation_m2_0, innovation_m3_0, mean_m1, mean_m0,
-        mean_m2, mean_m3, covariance_m0, covariance_m1, covariance_m2, covariance_m3,
-        next->innovation, next->innovation_covariance, &next->nis, next->mode_probability,
-        next->log_weight, &next->log_likelihood, next->filtered_state, next->filtered_covariance,
+        coupling_m0_1, coupling_m1_1, coupling_m2_1, pivot_m0_2, factor_m0_1, pivot_m1_2,
+        factor_m1_1, factor_m2_1, pivot_m2_2, innovation_m0_0, innovation_m1_0, innovation_m2_0,
+        mean_m1, mean_m0, mean_m2, covariance_m0, covariance_m1, covariance_m2, next->innovation,
+        next->innovation_covariance, &next->nis, next->mode_probability, next->log_weight,
+        &next->log_likelihood, next->filtered_state, next->filtered_covariance,
         next->mode_filtered_state, next->mode_filtered_covariance, present);
     if (status != RANGE_BEARING_OK) { return status; }
     return RANGE_BEARING_OK;
@@ -1688,50 +1746,25 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     double mixing_errors_1[3];
     double mixing_errors_2[3];
     double mixing_errors_3[3];
+    double mixed_limits[3];
     double mixed_0_0_3_share[2];
     double mixed_0_0_1_share[2];
     double mixed_0_0_1_mean[3];
-    double mixed_0_0_1_within[3];
-    double mixed_0_0_1_factor;
     double mixed_apart_0_1[3];
+    double mixed_apart_0_1_most;
     double mixed_apart_0_1_squared[6];
+    double mixed_0_0_1_factor;
     double mixed_0_0_1_covariance[6];
     double mixed_0_2_3_share[2];
     double mixed_0_2_3_mean[3];
-    double mixed_0_2_3_within[3];
-    double mixed_0_2_3_factor;
     double mixed_apart_2_3[3];
+    double mixed_apart_2_3_most;
     double mixed_apart_2_3_squared[6];
+    double mixed_0_2_3_factor;
     double mixed_0_2_3_covariance[6];
     double mixed_0_0_3_covariance[6];
     double turn_mixing_0[3];
-    double moved_0[9];
-    double moved_state_0[3];
-    double moved_covariance_0[6];
-    double mixed_1_0_3_share[2];
-    double mixed_1_0_1_share[2];
-    double mixed_1_0_1_mean[3];
-    double mixed_1_0_1_within[3];
-    double mixed_1_0_1_factor;
-    double mixed_1_0_1_covariance[6];
-    double mixed_1_2_3_share[2];
-    double mixed_1_2_3_mean[3];
-    double mixed_1_2_3_within[3];
-    double mixed_1_2_3_factor;
-    double mixed_1_2_3_covariance[6];
-    double mixed_1_0_3_covariance[6];
-    double turn_mixing_1[3];
-    double moved_1[9];
-    double moved_state_1[3];
-    double moved_covariance_1[6];
-    double prediction_errors_1[3];
-    double predicted_0_1_share[2];
-    double predicted_0_1_mean[3];
-    double predicted_apart_0_1[3];
-    double predicted_apart_0_1_squared[6];
-    double predicted_0_1_covariance[6];
-    double prediction_mean[3];
-    double turn_prediction[3];
+    range_bearing_status_t status;
     range_bearing_propagate_2(self->mode_probability, &mode_prediction_0, mixing_0,
         range_bearing_propagate_2_numbers[0]);
     range_bearing_propagate_2(self->mode_probability, &mode_prediction_1, mixing_1,
@@ -1753,137 +1786,39 @@ RANGE_BEARING_INLINE range_bearing_status_t range_bearing_propagate(const range_
     const double t4 = self->mode_filtered_state[11] - self->mode_filtered_state[2];
     const double t5 = 6.283185307179586 * range_bearing_floor(0.5 - (0.15915494309189535 * t4));
     mixing_errors_3[2] = t4 + t5;
-    range_bearing_mixing_and_prediction_4(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share,
-        mixing_errors_1, mixed_0_0_1_mean, self->mode_filtered_covariance, mixed_0_0_1_within,
-        &mixed_0_0_1_factor);
+    range_bearing_mixing_and_prediction_5(self->mode_filtered_covariance, mixed_limits);
+    range_bearing_mixing_and_prediction_5(&self->mode_filtered_covariance[2], &mixed_limits[1]);
+    range_bearing_mixing_and_prediction_5(&self->mode_filtered_covariance[5], &mixed_limits[2]);
+    range_bearing_part_5(mixing_0, mixed_0_0_3_share, mixed_0_0_1_share, mixing_errors_1,
+        mixed_0_0_1_mean);
     mixed_apart_0_1[0] = -mixing_errors_1[0];
     mixed_apart_0_1[1] = -mixing_errors_1[1];
     mixed_apart_0_1[2] = -mixing_errors_1[2];
-    range_bearing_part_5(mixed_apart_0_1, mixed_apart_0_1_squared);
-    range_bearing_mixing_and_prediction_2(mixed_0_0_1_share, self->mode_filtered_covariance,
-        mixed_0_0_1_factor, mixed_apart_0_1_squared, mixed_0_0_1_covariance, &mixing_0[2],
-        mixed_0_2_3_share, mixing_errors_2, mixing_errors_3, mixed_0_2_3_mean, mixed_0_2_3_within,
-        &mixed_0_2_3_factor);
+    range_bearing_part_3(mixed_apart_0_1, mixed_limits, &mixed_apart_0_1_most,
+        mixed_apart_0_1_squared, mixed_0_0_1_share, &mixed_0_0_1_factor);
+    range_bearing_mixing_and_prediction_3(mixed_0_0_1_share, self->mode_filtered_covariance,
+        mixed_0_0_1_factor, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
+    range_bearing_part_4(&mixing_0[2], mixed_0_2_3_share, mixing_errors_2, mixing_errors_3,
+        mixed_0_2_3_mean);
     mixed_apart_2_3[0] = mixing_errors_2[0] - mixing_errors_3[0];
     mixed_apart_2_3[1] = mixing_errors_2[1] - mixing_errors_3[1];
     mixed_apart_2_3[2] = mixing_errors_2[2] - mixing_errors_3[2];
-    range_bearing_part_5(mixed_apart_2_3, mixed_apart_2_3_squared);
-    range_bearing_mixing_and_prediction_6(mixed_0_2_3_share, &self->mode_filtered_covariance[12],
+    range_bearing_part_3(mixed_apart_2_3, mixed_limits, &mixed_apart_2_3_most,
+        mixed_apart_2_3_squared, mixed_0_2_3_share, &mixed_0_2_3_factor);
+    range_bearing_mixing_and_prediction_3(mixed_0_2_3_share, &self->mode_filtered_covariance[12],
         mixed_0_2_3_factor, mixed_apart_2_3_squared, mixed_0_2_3_covariance);
-    range_bearing_part_3(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_1_within,
-        mixed_0_2_3_within, mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance,
+    range_bearing_part_2(mixed_0_0_3_share, mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_limits,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance,
         self->mode_filtered_state, turn_mixing_0);
 
     /* mixing and prediction of every mode: linearisation */
-    range_bearing_mixing_and_prediction_5(u, turn_mixing_0, moved_0);
-
-    /* mixing and prediction of every mode */
-    range_bearing_mixing_and_prediction_3(moved_0, moved_state_0, mixed_0_0_3_covariance,
-        moved_covariance_0);
-    range_bearing_mixing_and_prediction_4(mixing_1, mixed_1_0_3_share, mixed_1_0_1_share,
-        mixing_errors_1, mixed_1_0_1_mean, self->mode_filtered_covariance, mixed_1_0_1_within,
-        &mixed_1_0_1_factor);
-    range_bearing_mixing_and_prediction_2(mixed_1_0_1_share, self->mode_filtered_covariance,
-        mixed_1_0_1_factor, mixed_apart_0_1_squared, mixed_1_0_1_covariance, &mixing_1[2],
-        mixed_1_2_3_share, mixing_errors_2, mixing_errors_3, mixed_1_2_3_mean, mixed_1_2_3_within,
-        &mixed_1_2_3_factor);
-    range_bearing_mixing_and_prediction_6(mixed_1_2_3_share, &self->mode_filtered_covariance[12],
-        mixed_1_2_3_factor, mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    range_bearing_part_3(mixed_1_0_3_share, mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_1_within,
-        mixed_1_2_3_within, mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance,
-        self->mode_filtered_state, turn_mixing_1);
-
-    /* mixing and prediction of every mode: linearisation */
-    range_bearing_mixing_and_prediction_5(u, turn_mixing_1, moved_1);
-
-    /* mixing and prediction of every mode */
-    range_bearing_mixing_and_prediction_3(moved_1, moved_state_1, mixed_1_0_3_covariance,
-        moved_covariance_1);
-
-    /* combined prediction */
-    range_bearing_part_7(moved_state_1, moved_state_0, prediction_errors_1);
-    predicted_0_1_share[0] = mode_prediction_0;
-    predicted_0_1_share[1] = mode_prediction_1;
-    predicted_0_1_mean[0] = predicted_0_1_share[1] * prediction_errors_1[0];
-    predicted_0_1_mean[1] = predicted_0_1_share[1] * prediction_errors_1[1];
-    predicted_0_1_mean[2] = predicted_0_1_share[1] * prediction_errors_1[2];
-    predicted_apart_0_1[0] = -prediction_errors_1[0];
-    predicted_apart_0_1[1] = -prediction_errors_1[1];
-    predicted_apart_0_1[2] = -prediction_errors_1[2];
-    range_bearing_part_5(predicted_apart_0_1, predicted_apart_0_1_squared);
-    const double t6 = predicted_0_1_share[0] * moved_covariance_0[0];
-    const double t7 = t6 + (predicted_0_1_share[1] * moved_covariance_1[0]);
-    const double t8 = predicted_0_1_share[0] * predicted_0_1_share[1];
-    predicted_0_1_covariance[0] = t7 + (t8 * predicted_apart_0_1_squared[0]);
-    const double t9 = predicted_0_1_share[0] * moved_covariance_0[1];
-    const double t10 = t9 + (predicted_0_1_share[1] * moved_covariance_1[1]);
-    predicted_0_1_covariance[1] = t10 + (t8 * predicted_apart_0_1_squared[1]);
-    const double t11 = predicted_0_1_share[0] * moved_covariance_0[2];
-    const double t12 = t11 + (predicted_0_1_share[1] * moved_covariance_1[2]);
-    predicted_0_1_covariance[2] = t12 + (t8 * predicted_apart_0_1_squared[2]);
-    const double t13 = predicted_0_1_share[0] * moved_covariance_0[3];
-    const double t14 = t13 + (predicted_0_1_share[1] * moved_covariance_1[3]);
-    predicted_0_1_covariance[3] = t14 + (t8 * predicted_apart_0_1_squared[3]);
-    const double t15 = predicted_0_1_share[0] * moved_covariance_0[4];
-    const double t16 = t15 + (predicted_0_1_share[1] * moved_covariance_1[4]);
-    predicted_0_1_covariance[4] = t16 + (t8 * predicted_apart_0_1_squared[4]);
-    const double t17 = predicted_0_1_share[0] * moved_covariance_0[5];
-    const double t18 = t17 + (predicted_0_1_share[1] * moved_covariance_1[5]);
-    predicted_0_1_covariance[5] = t18 + (t8 * predicted_apart_0_1_squared[5]);
-    range_bearing_copy(predicted_0_1_mean, prediction_mean, 3);
-    turn_prediction[0] = moved_state_0[0] + prediction_mean[0];
-    turn_prediction[1] = moved_state_0[1] + prediction_mean[1];
-    turn_prediction[2] = moved_state_0[2] + prediction_mean[2];
-    const double t19 = range_bearing_log(mode_prediction_0);
-    const double t20 = range_bearing_log(mode_prediction_1);
-    if (!range_bearing_finite(((range_bearing_defect(t19) + range_bearing_defect(t20)) +
-        (range_bearing_defect(turn_prediction[0]) + range_bearing_defect(turn_prediction[1]))) +
-        ((range_bearing_defect(turn_prediction[2]) +
-        range_bearing_defect(predicted_0_1_covariance[0])) +
-        (range_bearing_defect(predicted_0_1_covariance[2]) +
-        range_bearing_defect(predicted_0_1_covariance[5])))))
-    {
-        return RANGE_BEARING_RESULT_NOT_FINITE;
-    }
-    next->predicted_mode_probability[0] = mode_prediction_0;
-    next->predicted_mode_probability[1] = mode_prediction_1;
-    next->predicted_mode_probability[2] = 0.0;
-    next->predicted_mode_probability[3] = 0.0;
-    next->predicted_log_weight[0] = t19;
-    next->predicted_log_weight[1] = t20;
-    next->predicted_log_weight[2] = RANGE_BEARING_LOG_ZERO;
-    next->predicted_log_weight[3] = RANGE_BEARING_LOG_ZERO;
-    range_bearing_copy(moved_state_1, &next->mode_state[3], 3);
-    range_bearing_copy(moved_covariance_1, &next->mode_covariance[6], 6);
-    range_bearing_copy(turn_prediction, next->predicted_state, 3);
-    range_bearing_copy(predicted_0_1_covariance, next->predicted_covariance, 6);
-    next->mode_state[0] = moved_state_0[0];
-    next->mode_state[6] = moved_state_0[0];
-    next->mode_state[9] = moved_state_0[0];
-    next->mode_state[1] = moved_state_0[1];
-    next->mode_state[7] = moved_state_0[1];
-    next->mode_state[10] = moved_state_0[1];
-    next->mode_state[2] = moved_state_0[2];
-    next->mode_state[8] = moved_state_0[2];
-    next->mode_state[11] = moved_state_0[2];
-    next->mode_covariance[0] = moved_covariance_0[0];
-    next->mode_covariance[12] = moved_covariance_0[0];
-    next->mode_covariance[18] = moved_covariance_0[0];
-    next->mode_covariance[1] = moved_covariance_0[1];
-    next->mode_covariance[13] = moved_covariance_0[1];
-    next->mode_covariance[19] = moved_covariance_0[1];
-    next->mode_covariance[2] = moved_covariance_0[2];
-    next->mode_covariance[14] = moved_covariance_0[2];
-    next->mode_covariance[20] = moved_covariance_0[2];
-    next->mode_covariance[3] = moved_covariance_0[3];
-    next->mode_covariance[15] = moved_covariance_0[3];
-    next->mode_covariance[21] = moved_covariance_0[3];
-    next->mode_covariance[4] = moved_covariance_0[4];
-    next->mode_covariance[16] = moved_covariance_0[4];
-    next->mode_covariance[22] = moved_covariance_0[4];
-    next->mode_covariance[5] = moved_covariance_0[5];
-    next->mode_covariance[17] = moved_covariance_0[5];
-    next->mode_covariance[23] = moved_covariance_0[5];
+    status = range_bearing_mixing_and_prediction_6(u, turn_mixing_0, mixed_0_0_3_covariance,
+        mixing_1, mixing_errors_1, mixed_apart_0_1_most, self->mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixing_errors_2, mixing_errors_3, mixed_apart_2_3_most,
+        mixed_apart_2_3_squared, mixed_limits, self->mode_filtered_state, mode_prediction_0,
+        mode_prediction_1, next->predicted_mode_probability, next->predicted_log_weight,
+        next->mode_state, next->mode_covariance, next->predicted_state, next->predicted_covariance);
+    if (status != RANGE_BEARING_OK) { return status; }
     return RANGE_BEARING_OK;
 }
 

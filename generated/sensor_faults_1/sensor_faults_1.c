@@ -140,8 +140,6 @@ static double sensor_faults_1_exp(double x)
 
 /* log(2 pi), of a Gaussian density */
 #define SENSOR_FAULTS_1_LOG_2_PI (1.8378770664093453)
-/* keeps 0/0 out of probabilities that are 0 */
-#define SENSOR_FAULTS_1_TINY (1.0e-290)
 /* stands for the logarithm of 0 */
 #define SENSOR_FAULTS_1_LOG_ZERO (-1.0e+300)
 /* below it no density can be told from 0 */
@@ -219,27 +217,6 @@ static int sensor_faults_1_present_rows(const double *y, uint32_t valid, uint32_
 }
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
-
-/* combination. */
-SENSOR_FAULTS_1_INLINE void sensor_faults_1_combination(const double weight,
-    double *combined_factor, const double mean_m0, const double combined_state,
-    const double combined_within)
-{
-    combined_factor[0] = weight;
-    const double t0 = mean_m0 - combined_state;
-    const double t1 = (weight * (t0 * t0)) - (1000000000.0 * combined_within);
-    if (t1 > 0.0)
-    {
-        const double t2 = 1000000000.0 * combined_within;
-        const double t3 = t2 + ((t2 <= 0.0) ? 1.0 : 0.0);
-        const double t4 = mean_m0 - combined_state;
-        const double t5 = weight * (t4 * t4);
-        const double t6 = (t5 > SENSOR_FAULTS_1_TINY) ? t5 : SENSOR_FAULTS_1_TINY;
-        const double t7 = t3 / t6;
-        const double t8 = (1.0 < t7) ? 1.0 : t7;
-        combined_factor[0] = weight * t8;
-    }
-}
 
 /* What differs between the calls of sensor_faults_1_mode, a row for each. */
 static const double sensor_faults_1_mode_numbers[2][1] = {
@@ -326,11 +303,6 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double combined_state;
-    double combined_within;
-    double combined_factor_0;
-    double combined_factor_1;
-    double combined_factor_2;
-    double combined_factor_3;
     sensor_faults_1_status_t status;
     if (!(self->predicted_covariance[0] >= 0.0)) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
 
@@ -444,8 +416,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t20 = t19 + (self->predicted_mode_probability[1] * innovation_m1_0);
     const double t21 = t20 + (self->predicted_mode_probability[2] * innovation_m2_0);
     combined_innovation = t21 + (self->predicted_mode_probability[3] * innovation_m3_0);
-    const double t22 = 8.881784197001252e-16 * combined_variance;
-    whitening_pivot_combined_0 = (combined_variance > t22) ? combined_variance : t22;
+    whitening_pivot_combined_0 = combined_variance;
     if ((present & 0x1u) != 0u)
     {
         if (!(whitening_pivot_combined_0 > 0.0)) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
@@ -453,43 +424,32 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     }
 
     /* combination */
-    const double t23 = (weight[0] * mean_m0) + (weight[1] * mean_m1);
-    const double t24 = t23 + (weight[2] * self->predicted_state[0]);
-    combined_state = t24 + (weight[3] * self->predicted_state[0]);
+    const double t22 = (weight[0] * mean_m0) + (weight[1] * mean_m1);
+    const double t23 = t22 + (weight[2] * self->predicted_state[0]);
+    combined_state = t23 + (weight[3] * self->predicted_state[0]);
+    const double t24 = combined_innovation * combined_innovation * whitening_inverse_combined_0;
     const double t25 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
     const double t26 = t25 + (weight[2] * self->predicted_covariance[0]);
-    combined_within = t26 + (weight[3] * self->predicted_covariance[0]);
-    sensor_faults_1_combination(weight[0], &combined_factor_0, mean_m0, combined_state,
-        combined_within);
-    sensor_faults_1_combination(weight[1], &combined_factor_1, mean_m1, combined_state,
-        combined_within);
-    sensor_faults_1_combination(weight[2], &combined_factor_2, self->predicted_state[0],
-        combined_state, combined_within);
-    sensor_faults_1_combination(weight[3], &combined_factor_3, self->predicted_state[0],
-        combined_state, combined_within);
-    const double t27 = combined_innovation * combined_innovation * whitening_inverse_combined_0;
-    const double t28 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
-    const double t29 = t28 + (weight[2] * self->predicted_covariance[0]);
-    const double t30 = t29 + (weight[3] * self->predicted_covariance[0]);
-    const double t31 = mean_m0 - combined_state;
-    const double t32 = combined_factor_0 * t31 * t31;
-    const double t33 = mean_m1 - combined_state;
-    const double t34 = t32 + (combined_factor_1 * t33 * t33);
-    const double t35 = self->predicted_state[0] - combined_state;
-    const double t36 = t34 + (combined_factor_2 * t35 * t35);
-    const double t37 = self->predicted_state[0] - combined_state;
-    const double t38 = t30 + (t36 + (combined_factor_3 * t37 * t37));
+    const double t27 = t26 + (weight[3] * self->predicted_covariance[0]);
+    const double t28 = mean_m0 - combined_state;
+    const double t29 = weight[0] * t28 * t28;
+    const double t30 = mean_m1 - combined_state;
+    const double t31 = t29 + (weight[1] * t30 * t30);
+    const double t32 = self->predicted_state[0] - combined_state;
+    const double t33 = t31 + (weight[2] * t32 * t32);
+    const double t34 = self->predicted_state[0] - combined_state;
+    const double t35 = t27 + (t33 + (weight[3] * t34 * t34));
     if (!sensor_faults_1_finite(((sensor_faults_1_defect(combined_variance) +
-        sensor_faults_1_defect(t27)) + (sensor_faults_1_defect(log_weight_now[0]) +
+        sensor_faults_1_defect(t24)) + (sensor_faults_1_defect(log_weight_now[0]) +
         sensor_faults_1_defect(log_weight_now[1]))) + ((sensor_faults_1_defect(log_weight_now[2]) +
         sensor_faults_1_defect(log_weight_now[3])) + (sensor_faults_1_defect(log_evidence) +
-        sensor_faults_1_defect(t38)))))
+        sensor_faults_1_defect(t35)))))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
-    next->nis = t27;
+    next->nis = t24;
     next->mode_probability[0] = weight[0];
     next->mode_probability[1] = weight[1];
     next->mode_probability[2] = weight[2];
@@ -500,7 +460,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     next->log_weight[3] = log_weight_now[3];
     next->log_likelihood = log_evidence;
     next->filtered_state[0] = combined_state;
-    next->filtered_covariance[0] = t38;
+    next->filtered_covariance[0] = t35;
     return SENSOR_FAULTS_1_OK;
 }
 

@@ -474,131 +474,119 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *mode_covaria
     return SHIP_TRACK_OK;
 }
 
-/* combination; combined prediction; part 2. */
-SHIP_TRACK_INLINE void ship_track_part_4(const double *combined_0_1_share, const double *mean_m0,
-    const double *mean_m1, double *combined_0_1_mean)
+/* mixing and prediction of every mode; part 2. */
+SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_2_share, const double *mean,
+    const double *mode_filtered_state, double *mixed_0_0_2_mean, double *mixed_0_0_2_apart)
 {
-    const double t0 = combined_0_1_share[0] * mean_m0[0];
-    combined_0_1_mean[0] = t0 + (combined_0_1_share[1] * mean_m1[0]);
-    const double t1 = combined_0_1_share[0] * mean_m0[1];
-    combined_0_1_mean[1] = t1 + (combined_0_1_share[1] * mean_m1[1]);
-    const double t2 = combined_0_1_share[0] * mean_m0[2];
-    combined_0_1_mean[2] = t2 + (combined_0_1_share[1] * mean_m1[2]);
-    const double t3 = combined_0_1_share[0] * mean_m0[3];
-    combined_0_1_mean[3] = t3 + (combined_0_1_share[1] * mean_m1[3]);
+    const double t0 = mixed_0_0_2_share[0] * mean[0];
+    mixed_0_0_2_mean[0] = t0 + (mixed_0_0_2_share[1] * mode_filtered_state[0]);
+    const double t1 = mixed_0_0_2_share[0] * mean[1];
+    mixed_0_0_2_mean[1] = t1 + (mixed_0_0_2_share[1] * mode_filtered_state[1]);
+    const double t2 = mixed_0_0_2_share[0] * mean[2];
+    mixed_0_0_2_mean[2] = t2 + (mixed_0_0_2_share[1] * mode_filtered_state[2]);
+    const double t3 = mixed_0_0_2_share[0] * mean[3];
+    mixed_0_0_2_mean[3] = t3 + (mixed_0_0_2_share[1] * mode_filtered_state[3]);
+    mixed_0_0_2_apart[0] = mean[0] - mode_filtered_state[0];
+    mixed_0_0_2_apart[1] = mean[1] - mode_filtered_state[1];
+    mixed_0_0_2_apart[2] = mean[2] - mode_filtered_state[2];
+    mixed_0_0_2_apart[3] = mean[3] - mode_filtered_state[3];
 }
 
-/* combination; part 2. */
-SHIP_TRACK_INLINE void ship_track_part_3(const double *combined_0_share, const double covariance_m0,
-    const double covariance, double *combined_0_within, double *combined_0_factor,
-    const double *mean, const double *mean_2, double *combined)
+/* mixing and prediction of every mode; part 2. */
+SHIP_TRACK_INLINE void ship_track_part_4(const double *apart_0_1, double *apart_0_1_squared)
 {
-    const double t0 = combined_0_share[0] * covariance_m0;
-    combined_0_within[3] = t0 + (combined_0_share[1] * covariance);
-    combined_0_factor[0] = combined_0_share[0] * combined_0_share[1];
-    const double t1 = combined_0_share[0] * combined_0_share[1];
-    const double t2 = mean[0] - mean_2[0];
-    const double t3 = (t1 * (t2 * t2)) - (1000000000.0 * combined_0_within[0]);
-    const double t4 = mean[1] - mean_2[1];
-    const double t5 = (t1 * (t4 * t4)) - (1000000000.0 * combined_0_within[1]);
-    const double t6 = (t3 > t5) ? t3 : t5;
-    const double t7 = mean[2] - mean_2[2];
-    const double t8 = (t1 * (t7 * t7)) - (1000000000.0 * combined_0_within[2]);
-    const double t9 = (t6 > t8) ? t6 : t8;
-    const double t10 = mean[3] - mean_2[3];
-    const double t11 = (t1 * (t10 * t10)) - (1000000000.0 * combined_0_within[3]);
-    const double t12 = (t9 > t11) ? t9 : t11;
-    if (t12 > 0.0)
-    {
-        const double t13 = combined_0_share[0] * combined_0_share[1];
-        const double t14 = 1000000000.0 * combined_0_within[0];
-        const double t15 = t14 + ((t14 <= 0.0) ? 1.0 : 0.0);
-        const double t16 = mean[0] - mean_2[0];
-        const double t17 = t13 * (t16 * t16);
-        const double t18 = (t17 > SHIP_TRACK_TINY) ? t17 : SHIP_TRACK_TINY;
-        const double t19 = t15 / t18;
-        const double t20 = (1.0 < t19) ? 1.0 : t19;
-        const double t21 = 1000000000.0 * combined_0_within[1];
-        const double t22 = t21 + ((t21 <= 0.0) ? 1.0 : 0.0);
-        const double t23 = mean[1] - mean_2[1];
-        const double t24 = t13 * (t23 * t23);
-        const double t25 = (t24 > SHIP_TRACK_TINY) ? t24 : SHIP_TRACK_TINY;
-        const double t26 = t22 / t25;
-        const double t27 = (t20 < t26) ? t20 : t26;
-        const double t28 = 1000000000.0 * combined_0_within[2];
-        const double t29 = t28 + ((t28 <= 0.0) ? 1.0 : 0.0);
-        const double t30 = mean[2] - mean_2[2];
-        const double t31 = t13 * (t30 * t30);
-        const double t32 = (t31 > SHIP_TRACK_TINY) ? t31 : SHIP_TRACK_TINY;
-        const double t33 = t29 / t32;
-        const double t34 = (t27 < t33) ? t27 : t33;
-        const double t35 = 1000000000.0 * combined_0_within[3];
-        const double t36 = t35 + ((t35 <= 0.0) ? 1.0 : 0.0);
-        const double t37 = mean[3] - mean_2[3];
-        const double t38 = t13 * (t37 * t37);
-        const double t39 = (t38 > SHIP_TRACK_TINY) ? t38 : SHIP_TRACK_TINY;
-        const double t40 = t36 / t39;
-        const double t41 = (t34 < t40) ? t34 : t40;
-        combined_0_factor[0] = t13 * t41;
-    }
-    combined[0] = mean[0] - mean_2[0];
-    combined[1] = mean[1] - mean_2[1];
-    combined[2] = mean[2] - mean_2[2];
-    combined[3] = mean[3] - mean_2[3];
+    apart_0_1_squared[0] = apart_0_1[0] * apart_0_1[0];
+    apart_0_1_squared[1] = apart_0_1[1] * apart_0_1[0];
+    apart_0_1_squared[2] = apart_0_1[1] * apart_0_1[1];
+    apart_0_1_squared[3] = apart_0_1[2] * apart_0_1[0];
+    apart_0_1_squared[4] = apart_0_1[2] * apart_0_1[1];
+    apart_0_1_squared[5] = apart_0_1[2] * apart_0_1[2];
+    apart_0_1_squared[6] = apart_0_1[3] * apart_0_1[0];
+    apart_0_1_squared[7] = apart_0_1[3] * apart_0_1[1];
+    apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
+    apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
 }
 
-/* combination; mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_part_2(const double *combined_0_2_share,
-    const double *combined_0_1_mean, const double *mean_m2, double *combined_0_2_mean,
-    const double *combined_0_1_within, const double *covariance,
-    const double *combined_0_1_covariance, double *combined_0_2_covariance)
+/* combination; combined prediction. */
+SHIP_TRACK_INLINE void ship_track_part_2(const double *combined_0_1_share, const double *mean_m0,
+    const double *mean_m1, const double *covariance, const double *covariance_2,
+    const double *combined_0_2_share, const double *mean_m2, double *combined_0_2_mean,
+    const double *covariance_3, double *combined_0_2_covariance)
 {
-    double combined_0_2_within[4];
-    double combined_0_2_factor;
+    double combined_0_1_mean[4];
+    double apart_0_1[4];
+    double apart_0_1_squared[10];
+    double combined_0_1_covariance[10];
     double combined_0_2_apart[4];
-    ship_track_part_4(combined_0_2_share, combined_0_1_mean, mean_m2, combined_0_2_mean);
-    const double t0 = combined_0_2_share[0] * combined_0_1_within[0];
-    combined_0_2_within[0] = t0 + (combined_0_2_share[1] * covariance[0]);
-    const double t1 = combined_0_2_share[0] * combined_0_1_within[1];
-    combined_0_2_within[1] = t1 + (combined_0_2_share[1] * covariance[2]);
-    const double t2 = combined_0_2_share[0] * combined_0_1_within[2];
-    combined_0_2_within[2] = t2 + (combined_0_2_share[1] * covariance[5]);
-    ship_track_part_3(combined_0_2_share, combined_0_1_within[3], covariance[9],
-        combined_0_2_within, &combined_0_2_factor, combined_0_1_mean, mean_m2, combined_0_2_apart);
-    const double t3 = combined_0_2_share[0] * combined_0_1_covariance[0];
-    const double t4 = t3 + (combined_0_2_share[1] * covariance[0]);
-    const double t5 = combined_0_2_factor * combined_0_2_apart[0] * combined_0_2_apart[0];
-    combined_0_2_covariance[0] = t4 + t5;
-    const double t6 = combined_0_2_share[0] * combined_0_1_covariance[1];
-    const double t7 = t6 + (combined_0_2_share[1] * covariance[1]);
-    const double t8 = combined_0_2_factor * combined_0_2_apart[1];
-    combined_0_2_covariance[1] = t7 + (t8 * combined_0_2_apart[0]);
-    const double t9 = combined_0_2_share[0] * combined_0_1_covariance[2];
-    const double t10 = t9 + (combined_0_2_share[1] * covariance[2]);
-    combined_0_2_covariance[2] = t10 + (t8 * combined_0_2_apart[1]);
-    const double t11 = combined_0_2_share[0] * combined_0_1_covariance[3];
-    const double t12 = t11 + (combined_0_2_share[1] * covariance[3]);
-    const double t13 = combined_0_2_factor * combined_0_2_apart[2];
-    combined_0_2_covariance[3] = t12 + (t13 * combined_0_2_apart[0]);
-    const double t14 = combined_0_2_share[0] * combined_0_1_covariance[4];
-    const double t15 = t14 + (combined_0_2_share[1] * covariance[4]);
-    combined_0_2_covariance[4] = t15 + (t13 * combined_0_2_apart[1]);
-    const double t16 = combined_0_2_share[0] * combined_0_1_covariance[5];
-    const double t17 = t16 + (combined_0_2_share[1] * covariance[5]);
-    combined_0_2_covariance[5] = t17 + (t13 * combined_0_2_apart[2]);
-    const double t18 = combined_0_2_share[0] * combined_0_1_covariance[6];
-    const double t19 = t18 + (combined_0_2_share[1] * covariance[6]);
-    const double t20 = combined_0_2_factor * combined_0_2_apart[3];
-    combined_0_2_covariance[6] = t19 + (t20 * combined_0_2_apart[0]);
-    const double t21 = combined_0_2_share[0] * combined_0_1_covariance[7];
-    const double t22 = t21 + (combined_0_2_share[1] * covariance[7]);
-    combined_0_2_covariance[7] = t22 + (t20 * combined_0_2_apart[1]);
-    const double t23 = combined_0_2_share[0] * combined_0_1_covariance[8];
-    const double t24 = t23 + (combined_0_2_share[1] * covariance[8]);
-    combined_0_2_covariance[8] = t24 + (t20 * combined_0_2_apart[2]);
-    const double t25 = combined_0_2_share[0] * combined_0_1_covariance[9];
-    const double t26 = t25 + (combined_0_2_share[1] * covariance[9]);
-    combined_0_2_covariance[9] = t26 + (t20 * combined_0_2_apart[3]);
+    ship_track_part_3(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean, apart_0_1);
+    ship_track_part_4(apart_0_1, apart_0_1_squared);
+    const double t0 = combined_0_1_share[0] * covariance[0];
+    const double t1 = t0 + (combined_0_1_share[1] * covariance_2[0]);
+    const double t2 = combined_0_1_share[0] * combined_0_1_share[1];
+    combined_0_1_covariance[0] = t1 + (t2 * apart_0_1_squared[0]);
+    const double t3 = combined_0_1_share[0] * covariance[1];
+    const double t4 = t3 + (combined_0_1_share[1] * covariance_2[1]);
+    combined_0_1_covariance[1] = t4 + (t2 * apart_0_1_squared[1]);
+    const double t5 = combined_0_1_share[0] * covariance[2];
+    const double t6 = t5 + (combined_0_1_share[1] * covariance_2[2]);
+    combined_0_1_covariance[2] = t6 + (t2 * apart_0_1_squared[2]);
+    const double t7 = combined_0_1_share[0] * covariance[3];
+    const double t8 = t7 + (combined_0_1_share[1] * covariance_2[3]);
+    combined_0_1_covariance[3] = t8 + (t2 * apart_0_1_squared[3]);
+    const double t9 = combined_0_1_share[0] * covariance[4];
+    const double t10 = t9 + (combined_0_1_share[1] * covariance_2[4]);
+    combined_0_1_covariance[4] = t10 + (t2 * apart_0_1_squared[4]);
+    const double t11 = combined_0_1_share[0] * covariance[5];
+    const double t12 = t11 + (combined_0_1_share[1] * covariance_2[5]);
+    combined_0_1_covariance[5] = t12 + (t2 * apart_0_1_squared[5]);
+    const double t13 = combined_0_1_share[0] * covariance[6];
+    const double t14 = t13 + (combined_0_1_share[1] * covariance_2[6]);
+    combined_0_1_covariance[6] = t14 + (t2 * apart_0_1_squared[6]);
+    const double t15 = combined_0_1_share[0] * covariance[7];
+    const double t16 = t15 + (combined_0_1_share[1] * covariance_2[7]);
+    combined_0_1_covariance[7] = t16 + (t2 * apart_0_1_squared[7]);
+    const double t17 = combined_0_1_share[0] * covariance[8];
+    const double t18 = t17 + (combined_0_1_share[1] * covariance_2[8]);
+    combined_0_1_covariance[8] = t18 + (t2 * apart_0_1_squared[8]);
+    const double t19 = combined_0_1_share[0] * covariance[9];
+    const double t20 = t19 + (combined_0_1_share[1] * covariance_2[9]);
+    combined_0_1_covariance[9] = t20 + (t2 * apart_0_1_squared[9]);
+    ship_track_part_3(combined_0_2_share, combined_0_1_mean, mean_m2, combined_0_2_mean,
+        combined_0_2_apart);
+    const double t21 = combined_0_2_share[0] * combined_0_1_covariance[0];
+    const double t22 = t21 + (combined_0_2_share[1] * covariance_3[0]);
+    const double t23 = combined_0_2_share[0] * combined_0_2_share[1];
+    combined_0_2_covariance[0] = t22 + (t23 * combined_0_2_apart[0] * combined_0_2_apart[0]);
+    const double t24 = combined_0_2_share[0] * combined_0_1_covariance[1];
+    const double t25 = t24 + (combined_0_2_share[1] * covariance_3[1]);
+    const double t26 = t23 * combined_0_2_apart[1];
+    combined_0_2_covariance[1] = t25 + (t26 * combined_0_2_apart[0]);
+    const double t27 = combined_0_2_share[0] * combined_0_1_covariance[2];
+    const double t28 = t27 + (combined_0_2_share[1] * covariance_3[2]);
+    combined_0_2_covariance[2] = t28 + (t26 * combined_0_2_apart[1]);
+    const double t29 = combined_0_2_share[0] * combined_0_1_covariance[3];
+    const double t30 = t29 + (combined_0_2_share[1] * covariance_3[3]);
+    const double t31 = t23 * combined_0_2_apart[2];
+    combined_0_2_covariance[3] = t30 + (t31 * combined_0_2_apart[0]);
+    const double t32 = combined_0_2_share[0] * combined_0_1_covariance[4];
+    const double t33 = t32 + (combined_0_2_share[1] * covariance_3[4]);
+    combined_0_2_covariance[4] = t33 + (t31 * combined_0_2_apart[1]);
+    const double t34 = combined_0_2_share[0] * combined_0_1_covariance[5];
+    const double t35 = t34 + (combined_0_2_share[1] * covariance_3[5]);
+    combined_0_2_covariance[5] = t35 + (t31 * combined_0_2_apart[2]);
+    const double t36 = combined_0_2_share[0] * combined_0_1_covariance[6];
+    const double t37 = t36 + (combined_0_2_share[1] * covariance_3[6]);
+    const double t38 = t23 * combined_0_2_apart[3];
+    combined_0_2_covariance[6] = t37 + (t38 * combined_0_2_apart[0]);
+    const double t39 = combined_0_2_share[0] * combined_0_1_covariance[7];
+    const double t40 = t39 + (combined_0_2_share[1] * covariance_3[7]);
+    combined_0_2_covariance[7] = t40 + (t38 * combined_0_2_apart[1]);
+    const double t41 = combined_0_2_share[0] * combined_0_1_covariance[8];
+    const double t42 = t41 + (combined_0_2_share[1] * covariance_3[8]);
+    combined_0_2_covariance[8] = t42 + (t38 * combined_0_2_apart[2]);
+    const double t43 = combined_0_2_share[0] * combined_0_1_covariance[9];
+    const double t44 = t43 + (combined_0_2_share[1] * covariance_3[9]);
+    combined_0_2_covariance[9] = t44 + (t38 * combined_0_2_apart[3]);
 }
 
 /* mixing and prediction of every mode. */
@@ -647,75 +635,6 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *A, const d
 
 /* mixing and prediction of every mode. */
 SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mixed_0_1_share,
-    const double *mode_filtered_state, double *mixed_0_1_mean,
-    const double *mode_filtered_covariance, double *mixed_0_1_within, double *mixed_0_1_factor)
-{
-    const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
-    mixed_0_1_mean[0] = t0 + (mixed_0_1_share[1] * mode_filtered_state[4]);
-    const double t1 = mixed_0_1_share[0] * mode_filtered_state[1];
-    mixed_0_1_mean[1] = t1 + (mixed_0_1_share[1] * mode_filtered_state[5]);
-    const double t2 = mixed_0_1_share[0] * mode_filtered_state[2];
-    mixed_0_1_mean[2] = t2 + (mixed_0_1_share[1] * mode_filtered_state[6]);
-    const double t3 = mixed_0_1_share[0] * mode_filtered_state[3];
-    mixed_0_1_mean[3] = t3 + (mixed_0_1_share[1] * mode_filtered_state[7]);
-    const double t4 = mixed_0_1_share[0] * mode_filtered_covariance[0];
-    mixed_0_1_within[0] = t4 + (mixed_0_1_share[1] * mode_filtered_covariance[10]);
-    const double t5 = mixed_0_1_share[0] * mode_filtered_covariance[2];
-    mixed_0_1_within[1] = t5 + (mixed_0_1_share[1] * mode_filtered_covariance[12]);
-    const double t6 = mixed_0_1_share[0] * mode_filtered_covariance[5];
-    mixed_0_1_within[2] = t6 + (mixed_0_1_share[1] * mode_filtered_covariance[15]);
-    const double t7 = mixed_0_1_share[0] * mode_filtered_covariance[9];
-    mixed_0_1_within[3] = t7 + (mixed_0_1_share[1] * mode_filtered_covariance[19]);
-    mixed_0_1_factor[0] = mixed_0_1_share[0] * mixed_0_1_share[1];
-    const double t8 = mixed_0_1_share[0] * mixed_0_1_share[1];
-    const double t9 = mode_filtered_state[0] - mode_filtered_state[4];
-    const double t10 = (t8 * (t9 * t9)) - (1000000000.0 * mixed_0_1_within[0]);
-    const double t11 = mode_filtered_state[1] - mode_filtered_state[5];
-    const double t12 = (t8 * (t11 * t11)) - (1000000000.0 * mixed_0_1_within[1]);
-    const double t13 = (t10 > t12) ? t10 : t12;
-    const double t14 = mode_filtered_state[2] - mode_filtered_state[6];
-    const double t15 = (t8 * (t14 * t14)) - (1000000000.0 * mixed_0_1_within[2]);
-    const double t16 = (t13 > t15) ? t13 : t15;
-    const double t17 = mode_filtered_state[3] - mode_filtered_state[7];
-    const double t18 = (t8 * (t17 * t17)) - (1000000000.0 * mixed_0_1_within[3]);
-    const double t19 = (t16 > t18) ? t16 : t18;
-    if (t19 > 0.0)
-    {
-        const double t20 = mixed_0_1_share[0] * mixed_0_1_share[1];
-        const double t21 = 1000000000.0 * mixed_0_1_within[0];
-        const double t22 = t21 + ((t21 <= 0.0) ? 1.0 : 0.0);
-        const double t23 = mode_filtered_state[0] - mode_filtered_state[4];
-        const double t24 = t20 * (t23 * t23);
-        const double t25 = (t24 > SHIP_TRACK_TINY) ? t24 : SHIP_TRACK_TINY;
-        const double t26 = t22 / t25;
-        const double t27 = (1.0 < t26) ? 1.0 : t26;
-        const double t28 = 1000000000.0 * mixed_0_1_within[1];
-        const double t29 = t28 + ((t28 <= 0.0) ? 1.0 : 0.0);
-        const double t30 = mode_filtered_state[1] - mode_filtered_state[5];
-        const double t31 = t20 * (t30 * t30);
-        const double t32 = (t31 > SHIP_TRACK_TINY) ? t31 : SHIP_TRACK_TINY;
-        const double t33 = t29 / t32;
-        const double t34 = (t27 < t33) ? t27 : t33;
-        const double t35 = 1000000000.0 * mixed_0_1_within[2];
-        const double t36 = t35 + ((t35 <= 0.0) ? 1.0 : 0.0);
-        const double t37 = mode_filtered_state[2] - mode_filtered_state[6];
-        const double t38 = t20 * (t37 * t37);
-        const double t39 = (t38 > SHIP_TRACK_TINY) ? t38 : SHIP_TRACK_TINY;
-        const double t40 = t36 / t39;
-        const double t41 = (t34 < t40) ? t34 : t40;
-        const double t42 = 1000000000.0 * mixed_0_1_within[3];
-        const double t43 = t42 + ((t42 <= 0.0) ? 1.0 : 0.0);
-        const double t44 = mode_filtered_state[3] - mode_filtered_state[7];
-        const double t45 = t20 * (t44 * t44);
-        const double t46 = (t45 > SHIP_TRACK_TINY) ? t45 : SHIP_TRACK_TINY;
-        const double t47 = t43 / t46;
-        const double t48 = (t41 < t47) ? t41 : t47;
-        mixed_0_1_factor[0] = t20 * t48;
-    }
-}
-
-/* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mixed_0_1_share,
     const double *mode_filtered_covariance, const double mixed_0_1_factor,
     const double *mixed_apart_0_1_squared, double *mixed_0_1_covariance)
 {
@@ -788,43 +707,24 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double *y, const d
     return SHIP_TRACK_OK;
 }
 
-/* combination; mixing and prediction of every mode; combined prediction. */
-SHIP_TRACK_INLINE void ship_track_part_5(const double *apart_0_1, double *apart_0_1_squared)
-{
-    apart_0_1_squared[0] = apart_0_1[0] * apart_0_1[0];
-    apart_0_1_squared[1] = apart_0_1[1] * apart_0_1[0];
-    apart_0_1_squared[2] = apart_0_1[1] * apart_0_1[1];
-    apart_0_1_squared[3] = apart_0_1[2] * apart_0_1[0];
-    apart_0_1_squared[4] = apart_0_1[2] * apart_0_1[1];
-    apart_0_1_squared[5] = apart_0_1[2] * apart_0_1[2];
-    apart_0_1_squared[6] = apart_0_1[3] * apart_0_1[0];
-    apart_0_1_squared[7] = apart_0_1[3] * apart_0_1[1];
-    apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
-    apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
-}
-
-/* combination. */
-SHIP_TRACK_INLINE void ship_track_combination(const double *combined_0_1_share,
-    const double *covariance_m0, const double *covariance_m1, const double combined_0_1_factor,
-    const double *combined_apart_0_1_squared, double *combined_0_1_covariance)
-{
-    const double t0 = combined_0_1_share[0] * covariance_m0[0];
-    const double t1 = t0 + (combined_0_1_share[1] * covariance_m1[0]);
-    combined_0_1_covariance[0] = t1 + (combined_0_1_factor * combined_apart_0_1_squared[0]);
-    const double t2 = combined_0_1_share[0] * covariance_m0[1];
-    const double t3 = t2 + (combined_0_1_share[1] * covariance_m1[1]);
-    combined_0_1_covariance[1] = t3 + (combined_0_1_factor * combined_apart_0_1_squared[1]);
-}
-
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_4(const double *mixed_0_1_share,
-    const double *mode_filtered_covariance, const double mixed_0_1_factor,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mixed_0_1_share,
+    const double mixed_apart_0_1_most, const double *mode_filtered_covariance,
     const double *mixed_apart_0_1_squared, double *mixed_0_1_covariance)
 {
-    ship_track_mixing_and_prediction_3(mixed_0_1_share, mode_filtered_covariance, mixed_0_1_factor,
+    double mixed_0_1_factor;
+    const double t0 = mixed_0_1_share[0] * mixed_0_1_share[1];
+    mixed_0_1_factor = (t0 < mixed_apart_0_1_most) ? t0 : mixed_apart_0_1_most;
+    ship_track_mixing_and_prediction_2(mixed_0_1_share, mode_filtered_covariance, mixed_0_1_factor,
         mixed_apart_0_1_squared, mixed_0_1_covariance);
-    ship_track_mixing_and_prediction_3(mixed_0_1_share, &mode_filtered_covariance[2],
+    ship_track_mixing_and_prediction_2(mixed_0_1_share, &mode_filtered_covariance[2],
         mixed_0_1_factor, &mixed_apart_0_1_squared[2], &mixed_0_1_covariance[2]);
+    ship_track_mixing_and_prediction_2(mixed_0_1_share, &mode_filtered_covariance[4],
+        mixed_0_1_factor, &mixed_apart_0_1_squared[4], &mixed_0_1_covariance[4]);
+    ship_track_mixing_and_prediction_2(mixed_0_1_share, &mode_filtered_covariance[6],
+        mixed_0_1_factor, &mixed_apart_0_1_squared[6], &mixed_0_1_covariance[6]);
+    ship_track_mixing_and_prediction_2(mixed_0_1_share, &mode_filtered_covariance[8],
+        mixed_0_1_factor, &mixed_apart_0_1_squared[8], &mixed_0_1_covariance[8]);
 }
 
 /* innovation of the mixture. */
@@ -840,28 +740,34 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_5(const double *mixed_0_1_share,
-    const double *mode_filtered_covariance, const double mixed_0_1_factor,
-    const double *mixed_apart_0_1_squared, double *mixed_0_1_covariance)
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_4(const double *mixed_apart_0,
+    const double *mixed_limits, double *mixed_apart_0_most)
 {
-    ship_track_mixing_and_prediction_4(mixed_0_1_share, mode_filtered_covariance, mixed_0_1_factor,
-        mixed_apart_0_1_squared, mixed_0_1_covariance);
-    ship_track_mixing_and_prediction_4(mixed_0_1_share, &mode_filtered_covariance[4],
-        mixed_0_1_factor, &mixed_apart_0_1_squared[4], &mixed_0_1_covariance[4]);
-    ship_track_mixing_and_prediction_3(mixed_0_1_share, &mode_filtered_covariance[8],
-        mixed_0_1_factor, &mixed_apart_0_1_squared[8], &mixed_0_1_covariance[8]);
+    const double t0 = mixed_limits[0] * (mixed_apart_0[0] * mixed_apart_0[0]);
+    const double t1 = t0 + (mixed_limits[1] * (mixed_apart_0[1] * mixed_apart_0[1]));
+    const double t2 = t1 + (mixed_limits[2] * (mixed_apart_0[2] * mixed_apart_0[2]));
+    const double t3 = t2 + (mixed_limits[3] * (mixed_apart_0[3] * mixed_apart_0[3]));
+    mixed_apart_0_most[0] = 1.0 / (t3 + SHIP_TRACK_TINY);
 }
 
-/* combined prediction. */
-SHIP_TRACK_INLINE void ship_track_combined_prediction(const double *predicted_0_share,
-    const double *moved_state_0, const double *moved_state, double *predicted_0_mean,
-    double *predicted)
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_5(const double *mode_filtered_covariance,
+    double *mixed_limits)
 {
-    ship_track_part_4(predicted_0_share, moved_state_0, moved_state, predicted_0_mean);
-    predicted[0] = moved_state_0[0] - moved_state[0];
-    predicted[1] = moved_state_0[1] - moved_state[1];
-    predicted[2] = moved_state_0[2] - moved_state[2];
-    predicted[3] = moved_state_0[3] - moved_state[3];
+    const double t0 = mode_filtered_covariance[0] + mode_filtered_covariance[10];
+    const double t1 = 1000000000.0 * (t0 + mode_filtered_covariance[20]);
+    const double t2 = (t1 <= 0.0) ? 1.0 : 0.0;
+    mixed_limits[0] = (1.0 - t2) / (t1 + t2);
+}
+
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_6(const double *mixed_0_1_share,
+    const double *mode_filtered_state, double *mixed_0_1_mean)
+{
+    const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
+    mixed_0_1_mean[0] = t0 + (mixed_0_1_share[1] * mode_filtered_state[4]);
+    const double t1 = mixed_0_1_share[0] * mode_filtered_state[1];
+    mixed_0_1_mean[1] = t1 + (mixed_0_1_share[1] * mode_filtered_state[5]);
 }
 
 /* innovation of the mixture. */
@@ -984,262 +890,64 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture_2(con
     const double t77 = predicted_mode_probability[0] * innovation_m0_3;
     const double t78 = t77 + (predicted_mode_probability[1] * innovation_m1_3);
     combined_innovation[3] = t78 + (predicted_mode_probability[2] * innovation_m2_3);
-    const double t79 = 3.552713678800501e-15 * combined_variance[0];
-    whitening_pivot_combined_0 = (combined_variance[0] > t79) ? combined_variance[0] : t79;
+    whitening_pivot_combined_0 = combined_variance[0];
     status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_0,
         whitening_inverse_combined_0, ((present & 0x1u) != 0u));
     if (status != SHIP_TRACK_OK) { return status; }
     whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
     whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
     whitening_combined_0_3[0] = combined_variance[6] * whitening_inverse_combined_0[0];
-    const double t80 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
-    const double t81 = 3.552713678800501e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t80 > t81) ? t80 : t81;
+    const double t79 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
+    const double t80 = 3.552713678800501e-15 * combined_variance[2];
+    whitening_pivot_combined_1 = (t79 > t80) ? t79 : t80;
     status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_1,
         whitening_inverse_combined_1, ((present & 0x2u) != 0u));
     if (status != SHIP_TRACK_OK) { return status; }
-    const double t82 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    whitening_combined_1_2[0] = t82 * whitening_inverse_combined_1[0];
-    const double t83 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
-    whitening_combined_1_3[0] = t83 * whitening_inverse_combined_1[0];
-    const double t84 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
-    const double t85 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t86 = t84 - (whitening_combined_1_2[0] * t85);
-    const double t87 = 3.552713678800501e-15 * combined_variance[5];
-    whitening_pivot_combined_2 = (t86 > t87) ? t86 : t87;
+    const double t81 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t81 * whitening_inverse_combined_1[0];
+    const double t82 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
+    whitening_combined_1_3[0] = t82 * whitening_inverse_combined_1[0];
+    const double t83 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t84 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t85 = t83 - (whitening_combined_1_2[0] * t84);
+    const double t86 = 3.552713678800501e-15 * combined_variance[5];
+    whitening_pivot_combined_2 = (t85 > t86) ? t85 : t86;
     status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_2,
         whitening_inverse_combined_2, ((present & 0x4u) != 0u));
     if (status != SHIP_TRACK_OK) { return status; }
-    const double t88 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
-    const double t89 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t90 = t88 - (whitening_combined_1_3[0] * t89);
-    whitening_combined_2_3[0] = t90 * whitening_inverse_combined_2[0];
-    const double t91 = combined_variance[9] - (whitening_combined_0_3[0] * combined_variance[6]);
-    const double t92 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
-    const double t93 = t91 - (whitening_combined_1_3[0] * t92);
-    const double t94 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
-    const double t95 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t96 = whitening_combined_2_3[0] * (t94 - (whitening_combined_1_3[0] * t95));
-    const double t97 = t93 - t96;
-    const double t98 = 3.552713678800501e-15 * combined_variance[9];
-    whitening_pivot_combined_3 = (t97 > t98) ? t97 : t98;
+    const double t87 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
+    const double t88 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t89 = t87 - (whitening_combined_1_3[0] * t88);
+    whitening_combined_2_3[0] = t89 * whitening_inverse_combined_2[0];
+    const double t90 = combined_variance[9] - (whitening_combined_0_3[0] * combined_variance[6]);
+    const double t91 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
+    const double t92 = t90 - (whitening_combined_1_3[0] * t91);
+    const double t93 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
+    const double t94 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t95 = whitening_combined_2_3[0] * (t93 - (whitening_combined_1_3[0] * t94));
+    const double t96 = t92 - t95;
+    const double t97 = 3.552713678800501e-15 * combined_variance[9];
+    whitening_pivot_combined_3 = (t96 > t97) ? t96 : t97;
     status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_3,
         whitening_inverse_combined_3, ((present & 0x8u) != 0u));
     if (status != SHIP_TRACK_OK) { return status; }
     return SHIP_TRACK_OK;
 }
 
-/* mode 2: with its own A, Q. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_5(const double *mode_covariance,
-    const double *mode_state, const double innovation_m2_0, const double innovation_m2_1,
-    const double innovation_m2_2, const double innovation_m2_3,
-    const double *predicted_mode_probability, const double *predicted_log_weight,
-    const double log_density_m0, const double log_density_m1, const double *variance_m0,
-    const double *variance_m1, const double innovation_m0_0, const double innovation_m1_0,
-    const double innovation_m0_1, const double innovation_m1_1, const double innovation_m0_2,
-    const double innovation_m1_2, const double innovation_m0_3, const double innovation_m1_3,
-    const double *mean_m0, const double *mean_m1, const double *covariance_m0,
-    const double *covariance_m1, double *innovation, double *innovation_covariance, double *nis,
-    double *mode_probability, double *log_weight, double *log_likelihood, double *filtered_state,
-    double *filtered_covariance, double *mode_filtered_state, double *mode_filtered_covariance,
-    uint32_t present)
-{
-    double variance_m2[10];
-    double mean_m2[4] = { 0.0 };
-    double covariance_m2[10] = { 0.0 };
-    double quadratic_m2 = 0.0;
-    double log_constant_m2 = 0.0;
-    double determinant_m2_0 = 1.0;
-    double log_density_m2;
-    double weight[3];
-    double log_weight_now[3];
-    double log_joint[3] = { 0.0 };
-    double log_largest = 0.0;
-    double share_of_largest[3] = { 0.0 };
-    double share_total = 0.0;
-    double share_total_inverse = 0.0;
-    double log_share_total = 0.0;
-    double log_evidence = 0.0;
-    double combined_variance[10];
-    double combined_innovation[4];
-    double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
-    double whitening_combined_0_2 = 0.0;
-    double whitening_combined_0_3 = 0.0;
-    double whitening_inverse_combined_1 = 0.0;
-    double whitening_combined_1_2 = 0.0;
-    double whitening_combined_1_3 = 0.0;
-    double whitening_inverse_combined_2 = 0.0;
-    double whitening_combined_2_3 = 0.0;
-    double whitening_inverse_combined_3 = 0.0;
-    double combined_0_2_share[2];
-    double combined_0_1_inverse;
-    double combined_0_1_share[2];
-    double combined_0_1_mean[4];
-    double combined_0_1_within[4];
-    double combined_0_1_factor;
-    double combined_apart_0_1[4];
-    double combined_apart_0_1_squared[10];
-    double combined_0_1_covariance[10];
-    double combined_0_2_mean[4];
-    double combined_0_2_covariance[10];
-    ship_track_status_t status;
-
-    /* mode 2: with its own A, Q */
-    ship_track_mode_4(mode_covariance, variance_m2, &mode_state[8], mean_m2, covariance_m2);
-
-    /* mode 2: with its own A, Q: row 0 of y, report_east */
-    status = ship_track_mode(mode_covariance, innovation_m2_0, &mode_state[8], &quadratic_m2,
-        &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
-        innovation_m2_2, innovation_m2_3, present);
-    if (status != SHIP_TRACK_OK) { return status; }
-
-    /* mode 2: with its own A, Q */
-    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
-
-    /* probabilities of the modes */
-    ship_track_copy(predicted_mode_probability, weight, 3);
-    ship_track_copy(predicted_log_weight, log_weight_now, 3);
-    if ((present) != 0u)
-    {
-        log_joint[0] = predicted_log_weight[0] + log_density_m0;
-        log_joint[1] = predicted_log_weight[1] + log_density_m1;
-        log_joint[2] = predicted_log_weight[2] + log_density_m2;
-        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        log_largest = (t0 > log_joint[2]) ? t0 : log_joint[2];
-        share_of_largest[0] = ship_track_exp(log_joint[0] - log_largest);
-        share_of_largest[1] = ship_track_exp(log_joint[1] - log_largest);
-        share_of_largest[2] = ship_track_exp(log_joint[2] - log_largest);
-        share_total = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
-        const double t1 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
-        if (!(t1 > 0.0)) { return SHIP_TRACK_RESULT_NOT_FINITE; }
-        if (!ship_track_finite(ship_track_defect(share_total)))
-        {
-            return SHIP_TRACK_RESULT_NOT_FINITE;
-        }
-        share_total_inverse = 1.0 / share_total;
-        log_share_total = ship_track_log(share_total);
-        weight[0] = share_of_largest[0] * share_total_inverse;
-        weight[1] = share_of_largest[1] * share_total_inverse;
-        weight[2] = share_of_largest[2] * share_total_inverse;
-        const double t2 = (log_joint[0] - log_largest) - log_share_total;
-        log_weight_now[0] = (t2 > SHIP_TRACK_LOG_ZERO) ? t2 : SHIP_TRACK_LOG_ZERO;
-        const double t3 = (log_joint[1] - log_largest) - log_share_total;
-        log_weight_now[1] = (t3 > SHIP_TRACK_LOG_ZERO) ? t3 : SHIP_TRACK_LOG_ZERO;
-        const double t4 = (log_joint[2] - log_largest) - log_share_total;
-        log_weight_now[2] = (t4 > SHIP_TRACK_LOG_ZERO) ? t4 : SHIP_TRACK_LOG_ZERO;
-        log_evidence = log_largest + log_share_total;
-    }
-
-    /* innovation of the mixture */
-    status = ship_track_innovation_of_the_mixture_2(mode_state, predicted_mode_probability,
-        variance_m0, variance_m1, variance_m2, combined_variance, innovation_m0_0, innovation_m1_0,
-        innovation_m2_0, combined_innovation, innovation_m0_1, innovation_m1_1, innovation_m2_1,
-        innovation_m0_2, innovation_m1_2, innovation_m2_2, innovation_m0_3, innovation_m1_3,
-        innovation_m2_3, &whitening_inverse_combined_0, &whitening_combined_0_1,
-        &whitening_combined_0_2, &whitening_combined_0_3, &whitening_inverse_combined_1,
-        &whitening_combined_1_2, &whitening_combined_1_3, &whitening_inverse_combined_2,
-        &whitening_combined_2_3, &whitening_inverse_combined_3, present);
-    if (status != SHIP_TRACK_OK) { return status; }
-
-    /* combination */
-    combined_0_2_share[0] = weight[0] + weight[1];
-    combined_0_2_share[1] = weight[2];
-    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + SHIP_TRACK_TINY);
-    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
-    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
-    ship_track_part_4(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean);
-    const double t5 = combined_0_1_share[0] * covariance_m0[0];
-    combined_0_1_within[0] = t5 + (combined_0_1_share[1] * covariance_m1[0]);
-    const double t6 = combined_0_1_share[0] * covariance_m0[2];
-    combined_0_1_within[1] = t6 + (combined_0_1_share[1] * covariance_m1[2]);
-    const double t7 = combined_0_1_share[0] * covariance_m0[5];
-    combined_0_1_within[2] = t7 + (combined_0_1_share[1] * covariance_m1[5]);
-    ship_track_part_3(combined_0_1_share, covariance_m0[9], covariance_m1[9], combined_0_1_within,
-        &combined_0_1_factor, mean_m0, mean_m1, combined_apart_0_1);
-    ship_track_part_5(combined_apart_0_1, combined_apart_0_1_squared);
-    ship_track_combination(combined_0_1_share, covariance_m0, covariance_m1, combined_0_1_factor,
-        combined_apart_0_1_squared, combined_0_1_covariance);
-    ship_track_combination(combined_0_1_share, &covariance_m0[2], &covariance_m1[2],
-        combined_0_1_factor, &combined_apart_0_1_squared[2], &combined_0_1_covariance[2]);
-    ship_track_combination(combined_0_1_share, &covariance_m0[4], &covariance_m1[4],
-        combined_0_1_factor, &combined_apart_0_1_squared[4], &combined_0_1_covariance[4]);
-    ship_track_combination(combined_0_1_share, &covariance_m0[6], &covariance_m1[6],
-        combined_0_1_factor, &combined_apart_0_1_squared[6], &combined_0_1_covariance[6]);
-    ship_track_combination(combined_0_1_share, &covariance_m0[8], &covariance_m1[8],
-        combined_0_1_factor, &combined_apart_0_1_squared[8], &combined_0_1_covariance[8]);
-    ship_track_part_2(combined_0_2_share, combined_0_1_mean, mean_m2, combined_0_2_mean,
-        combined_0_1_within, covariance_m2, combined_0_1_covariance, combined_0_2_covariance);
-    if (!ship_track_finite((ship_track_defect(combined_0_2_mean[0]) +
-        ship_track_defect(combined_0_2_mean[1])) + (ship_track_defect(combined_0_2_mean[2]) +
-        ship_track_defect(combined_0_2_mean[3]))))
-    {
-        return SHIP_TRACK_RESULT_NOT_FINITE;
-    }
-    const double t8 = combined_innovation[0] * combined_innovation[0];
-    const double t9 = t8 * whitening_inverse_combined_0;
-    const double t10 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t11 = t9 + (t10 * t10 * whitening_inverse_combined_1);
-    const double t12 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t13 = t12 - (whitening_combined_1_2 * t10);
-    const double t14 = t11 + (t13 * t13 * whitening_inverse_combined_2);
-    const double t15 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
-    const double t16 = (t15 - (whitening_combined_1_3 * t10)) - (whitening_combined_2_3 * t13);
-    const double t17 = t14 + (t16 * t16 * whitening_inverse_combined_3);
-    if (!ship_track_finite(((((ship_track_defect(combined_variance[0]) +
-        ship_track_defect(combined_variance[2])) + ship_track_defect(combined_variance[5])) +
-        (ship_track_defect(combined_variance[9]) + ship_track_defect(t17))) +
-        (((ship_track_defect(log_weight_now[0]) + ship_track_defect(log_weight_now[1])) +
-        ship_track_defect(log_weight_now[2])) + (ship_track_defect(log_evidence) +
-        ship_track_defect(combined_0_2_covariance[0])))) +
-        ((((ship_track_defect(combined_0_2_covariance[1]) +
-        ship_track_defect(combined_0_2_covariance[2])) +
-        ship_track_defect(combined_0_2_covariance[3])) +
-        (ship_track_defect(combined_0_2_covariance[4]) +
-        ship_track_defect(combined_0_2_covariance[5]))) +
-        ((ship_track_defect(combined_0_2_covariance[6]) +
-        ship_track_defect(combined_0_2_covariance[7])) +
-        (ship_track_defect(combined_0_2_covariance[8]) +
-        ship_track_defect(combined_0_2_covariance[9]))))))
-    {
-        return SHIP_TRACK_RESULT_NOT_FINITE;
-    }
-    ship_track_copy(combined_innovation, innovation, 4);
-    ship_track_copy(combined_variance, innovation_covariance, 10);
-    nis[0] = t17;
-    ship_track_copy(weight, mode_probability, 3);
-    ship_track_copy(log_weight_now, log_weight, 3);
-    log_likelihood[0] = log_evidence;
-    ship_track_copy(combined_0_2_mean, filtered_state, 4);
-    ship_track_copy(combined_0_2_covariance, filtered_covariance, 10);
-    ship_track_copy(mean_m0, mode_filtered_state, 4);
-    ship_track_copy(mean_m1, &mode_filtered_state[4], 4);
-    ship_track_copy(mean_m2, &mode_filtered_state[8], 4);
-    ship_track_copy(covariance_m0, mode_filtered_covariance, 10);
-    ship_track_copy(covariance_m1, &mode_filtered_covariance[10], 10);
-    ship_track_copy(covariance_m2, &mode_filtered_covariance[20], 10);
-    return SHIP_TRACK_OK;
-}
-
 /* combined prediction. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction_2(const double
-    mode_prediction_0, const double mode_prediction_1, const double mode_prediction_2,
-    const double *moved_state_0, const double *moved_state_1, const double *moved_covariance_0,
-    const double *moved_covariance_1, const double *moved_state_2, const double *moved_covariance_2,
-    const double path_share_total_1, const double log_path_largest_1,
-    const double path_share_total_2, const double log_path_largest_2,
-    double *predicted_mode_probability, double *predicted_log_weight, double *mode_state,
-    double *mode_covariance, double *predicted_state, double *predicted_covariance)
+SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction(const double mode_prediction_0,
+    const double mode_prediction_1, const double mode_prediction_2, const double *moved_state_0,
+    const double *moved_state_1, const double *moved_covariance_0, const double *moved_covariance_1,
+    const double *moved_state_2, const double *moved_covariance_2, const double path_share_total_1,
+    const double log_path_largest_1, const double path_share_total_2,
+    const double log_path_largest_2, double *predicted_mode_probability,
+    double *predicted_log_weight, double *mode_state, double *mode_covariance,
+    double *predicted_state, double *predicted_covariance)
 {
     double predicted_0_2_share[2];
     double predicted_0_1_inverse;
     double predicted_0_1_share[2];
-    double predicted_0_1_mean[4];
-    double predicted_apart_0_1[4];
-    double predicted_apart_0_1_squared[10];
-    double predicted_0_1_covariance[10];
     double predicted_0_2_mean[4];
-    double predicted_0_2_apart[4];
     double predicted_0_2_covariance[10];
 
     /* combined prediction */
@@ -1248,81 +956,14 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction_2(const dou
     predicted_0_1_inverse = 1.0 / (mode_prediction_0 + mode_prediction_1 + SHIP_TRACK_TINY);
     predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
     predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
-    ship_track_combined_prediction(predicted_0_1_share, moved_state_0, moved_state_1,
-        predicted_0_1_mean, predicted_apart_0_1);
-    ship_track_part_5(predicted_apart_0_1, predicted_apart_0_1_squared);
-    const double t0 = predicted_0_1_share[0] * moved_covariance_0[0];
-    const double t1 = t0 + (predicted_0_1_share[1] * moved_covariance_1[0]);
-    const double t2 = predicted_0_1_share[0] * predicted_0_1_share[1];
-    predicted_0_1_covariance[0] = t1 + (t2 * predicted_apart_0_1_squared[0]);
-    const double t3 = predicted_0_1_share[0] * moved_covariance_0[1];
-    const double t4 = t3 + (predicted_0_1_share[1] * moved_covariance_1[1]);
-    predicted_0_1_covariance[1] = t4 + (t2 * predicted_apart_0_1_squared[1]);
-    const double t5 = predicted_0_1_share[0] * moved_covariance_0[2];
-    const double t6 = t5 + (predicted_0_1_share[1] * moved_covariance_1[2]);
-    predicted_0_1_covariance[2] = t6 + (t2 * predicted_apart_0_1_squared[2]);
-    const double t7 = predicted_0_1_share[0] * moved_covariance_0[3];
-    const double t8 = t7 + (predicted_0_1_share[1] * moved_covariance_1[3]);
-    predicted_0_1_covariance[3] = t8 + (t2 * predicted_apart_0_1_squared[3]);
-    const double t9 = predicted_0_1_share[0] * moved_covariance_0[4];
-    const double t10 = t9 + (predicted_0_1_share[1] * moved_covariance_1[4]);
-    predicted_0_1_covariance[4] = t10 + (t2 * predicted_apart_0_1_squared[4]);
-    const double t11 = predicted_0_1_share[0] * moved_covariance_0[5];
-    const double t12 = t11 + (predicted_0_1_share[1] * moved_covariance_1[5]);
-    predicted_0_1_covariance[5] = t12 + (t2 * predicted_apart_0_1_squared[5]);
-    const double t13 = predicted_0_1_share[0] * moved_covariance_0[6];
-    const double t14 = t13 + (predicted_0_1_share[1] * moved_covariance_1[6]);
-    predicted_0_1_covariance[6] = t14 + (t2 * predicted_apart_0_1_squared[6]);
-    const double t15 = predicted_0_1_share[0] * moved_covariance_0[7];
-    const double t16 = t15 + (predicted_0_1_share[1] * moved_covariance_1[7]);
-    predicted_0_1_covariance[7] = t16 + (t2 * predicted_apart_0_1_squared[7]);
-    const double t17 = predicted_0_1_share[0] * moved_covariance_0[8];
-    const double t18 = t17 + (predicted_0_1_share[1] * moved_covariance_1[8]);
-    predicted_0_1_covariance[8] = t18 + (t2 * predicted_apart_0_1_squared[8]);
-    const double t19 = predicted_0_1_share[0] * moved_covariance_0[9];
-    const double t20 = t19 + (predicted_0_1_share[1] * moved_covariance_1[9]);
-    predicted_0_1_covariance[9] = t20 + (t2 * predicted_apart_0_1_squared[9]);
-    ship_track_combined_prediction(predicted_0_2_share, predicted_0_1_mean, moved_state_2,
-        predicted_0_2_mean, predicted_0_2_apart);
-    const double t21 = predicted_0_2_share[0] * predicted_0_1_covariance[0];
-    const double t22 = t21 + (predicted_0_2_share[1] * moved_covariance_2[0]);
-    const double t23 = predicted_0_2_share[0] * predicted_0_2_share[1];
-    predicted_0_2_covariance[0] = t22 + (t23 * predicted_0_2_apart[0] * predicted_0_2_apart[0]);
-    const double t24 = predicted_0_2_share[0] * predicted_0_1_covariance[1];
-    const double t25 = t24 + (predicted_0_2_share[1] * moved_covariance_2[1]);
-    const double t26 = t23 * predicted_0_2_apart[1];
-    predicted_0_2_covariance[1] = t25 + (t26 * predicted_0_2_apart[0]);
-    const double t27 = predicted_0_2_share[0] * predicted_0_1_covariance[2];
-    const double t28 = t27 + (predicted_0_2_share[1] * moved_covariance_2[2]);
-    predicted_0_2_covariance[2] = t28 + (t26 * predicted_0_2_apart[1]);
-    const double t29 = predicted_0_2_share[0] * predicted_0_1_covariance[3];
-    const double t30 = t29 + (predicted_0_2_share[1] * moved_covariance_2[3]);
-    const double t31 = t23 * predicted_0_2_apart[2];
-    predicted_0_2_covariance[3] = t30 + (t31 * predicted_0_2_apart[0]);
-    const double t32 = predicted_0_2_share[0] * predicted_0_1_covariance[4];
-    const double t33 = t32 + (predicted_0_2_share[1] * moved_covariance_2[4]);
-    predicted_0_2_covariance[4] = t33 + (t31 * predicted_0_2_apart[1]);
-    const double t34 = predicted_0_2_share[0] * predicted_0_1_covariance[5];
-    const double t35 = t34 + (predicted_0_2_share[1] * moved_covariance_2[5]);
-    predicted_0_2_covariance[5] = t35 + (t31 * predicted_0_2_apart[2]);
-    const double t36 = predicted_0_2_share[0] * predicted_0_1_covariance[6];
-    const double t37 = t36 + (predicted_0_2_share[1] * moved_covariance_2[6]);
-    const double t38 = t23 * predicted_0_2_apart[3];
-    predicted_0_2_covariance[6] = t37 + (t38 * predicted_0_2_apart[0]);
-    const double t39 = predicted_0_2_share[0] * predicted_0_1_covariance[7];
-    const double t40 = t39 + (predicted_0_2_share[1] * moved_covariance_2[7]);
-    predicted_0_2_covariance[7] = t40 + (t38 * predicted_0_2_apart[1]);
-    const double t41 = predicted_0_2_share[0] * predicted_0_1_covariance[8];
-    const double t42 = t41 + (predicted_0_2_share[1] * moved_covariance_2[8]);
-    predicted_0_2_covariance[8] = t42 + (t38 * predicted_0_2_apart[2]);
-    const double t43 = predicted_0_2_share[0] * predicted_0_1_covariance[9];
-    const double t44 = t43 + (predicted_0_2_share[1] * moved_covariance_2[9]);
-    predicted_0_2_covariance[9] = t44 + (t38 * predicted_0_2_apart[3]);
-    const double t45 = ship_track_log(mode_prediction_0);
-    const double t46 = log_path_largest_1 + ship_track_log(path_share_total_1);
-    const double t47 = log_path_largest_2 + ship_track_log(path_share_total_2);
-    if (!ship_track_finite(((((ship_track_defect(t45) + ship_track_defect(t46)) +
-        ship_track_defect(t47)) + (ship_track_defect(predicted_0_2_mean[0]) +
+    ship_track_part_2(predicted_0_1_share, moved_state_0, moved_state_1, moved_covariance_0,
+        moved_covariance_1, predicted_0_2_share, moved_state_2, predicted_0_2_mean,
+        moved_covariance_2, predicted_0_2_covariance);
+    const double t0 = ship_track_log(mode_prediction_0);
+    const double t1 = log_path_largest_1 + ship_track_log(path_share_total_1);
+    const double t2 = log_path_largest_2 + ship_track_log(path_share_total_2);
+    if (!ship_track_finite(((((ship_track_defect(t0) + ship_track_defect(t1)) +
+        ship_track_defect(t2)) + (ship_track_defect(predicted_0_2_mean[0]) +
         ship_track_defect(predicted_0_2_mean[1]))) + ((ship_track_defect(predicted_0_2_mean[2]) +
         ship_track_defect(predicted_0_2_mean[3])) +
         (ship_track_defect(predicted_0_2_covariance[0]) +
@@ -1341,9 +982,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction_2(const dou
     predicted_mode_probability[0] = mode_prediction_0;
     predicted_mode_probability[1] = mode_prediction_1;
     predicted_mode_probability[2] = mode_prediction_2;
-    predicted_log_weight[0] = t45;
-    predicted_log_weight[1] = t46;
-    predicted_log_weight[2] = t47;
+    predicted_log_weight[0] = t0;
+    predicted_log_weight[1] = t1;
+    predicted_log_weight[2] = t2;
     ship_track_copy(moved_state_0, mode_state, 4);
     ship_track_copy(moved_state_1, &mode_state[4], 4);
     ship_track_copy(moved_state_2, &mode_state[8], 4);
@@ -1356,60 +997,51 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction_2(const dou
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_6(const double *mixed_2_0_2_share,
-    const double *mode_filtered_state, const double *mixed_2_0_2_within, double *mixed_2_0_2_factor)
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_7(const double *mixed_0_0_2_share,
+    const double *mixed_0_0_1_covariance, const double *mode_filtered_covariance,
+    const double mixed_0_0_2_factor, const double *mixed_0_0_2_apart,
+    double *mixed_0_0_2_covariance)
 {
-    const double t0 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    const double t1 = mode_filtered_state[0] - mode_filtered_state[8];
-    const double t2 = (t0 * (t1 * t1)) - (1000000000.0 * mixed_2_0_2_within[0]);
-    const double t3 = mode_filtered_state[1] - mode_filtered_state[9];
-    const double t4 = (t0 * (t3 * t3)) - (1000000000.0 * mixed_2_0_2_within[1]);
-    const double t5 = (t2 > t4) ? t2 : t4;
-    const double t6 = mode_filtered_state[2] - mode_filtered_state[10];
-    const double t7 = (t0 * (t6 * t6)) - (1000000000.0 * mixed_2_0_2_within[2]);
-    const double t8 = (t5 > t7) ? t5 : t7;
-    const double t9 = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t10 = (t0 * (t9 * t9)) - (1000000000.0 * mixed_2_0_2_within[3]);
-    const double t11 = (t8 > t10) ? t8 : t10;
-    if (t11 > 0.0)
-    {
-        const double t12 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-        const double t13 = 1000000000.0 * mixed_2_0_2_within[0];
-        const double t14 = t13 + ((t13 <= 0.0) ? 1.0 : 0.0);
-        const double t15 = mode_filtered_state[0] - mode_filtered_state[8];
-        const double t16 = t12 * (t15 * t15);
-        const double t17 = (t16 > SHIP_TRACK_TINY) ? t16 : SHIP_TRACK_TINY;
-        const double t18 = t14 / t17;
-        const double t19 = (1.0 < t18) ? 1.0 : t18;
-        const double t20 = 1000000000.0 * mixed_2_0_2_within[1];
-        const double t21 = t20 + ((t20 <= 0.0) ? 1.0 : 0.0);
-        const double t22 = mode_filtered_state[1] - mode_filtered_state[9];
-        const double t23 = t12 * (t22 * t22);
-        const double t24 = (t23 > SHIP_TRACK_TINY) ? t23 : SHIP_TRACK_TINY;
-        const double t25 = t21 / t24;
-        const double t26 = (t19 < t25) ? t19 : t25;
-        const double t27 = 1000000000.0 * mixed_2_0_2_within[2];
-        const double t28 = t27 + ((t27 <= 0.0) ? 1.0 : 0.0);
-        const double t29 = mode_filtered_state[2] - mode_filtered_state[10];
-        const double t30 = t12 * (t29 * t29);
-        const double t31 = (t30 > SHIP_TRACK_TINY) ? t30 : SHIP_TRACK_TINY;
-        const double t32 = t28 / t31;
-        const double t33 = (t26 < t32) ? t26 : t32;
-        const double t34 = 1000000000.0 * mixed_2_0_2_within[3];
-        const double t35 = t34 + ((t34 <= 0.0) ? 1.0 : 0.0);
-        const double t36 = mode_filtered_state[3] - mode_filtered_state[11];
-        const double t37 = t12 * (t36 * t36);
-        const double t38 = (t37 > SHIP_TRACK_TINY) ? t37 : SHIP_TRACK_TINY;
-        const double t39 = t35 / t38;
-        const double t40 = (t33 < t39) ? t33 : t39;
-        mixed_2_0_2_factor[0] = t12 * t40;
-    }
+    const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
+    const double t1 = t0 + (mixed_0_0_2_share[1] * mode_filtered_covariance[0]);
+    const double t2 = mixed_0_0_2_factor * mixed_0_0_2_apart[0] * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[0] = t1 + t2;
+    const double t3 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
+    const double t4 = t3 + (mixed_0_0_2_share[1] * mode_filtered_covariance[1]);
+    const double t5 = mixed_0_0_2_factor * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[1] = t4 + (t5 * mixed_0_0_2_apart[0]);
+    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
+    const double t7 = t6 + (mixed_0_0_2_share[1] * mode_filtered_covariance[2]);
+    mixed_0_0_2_covariance[2] = t7 + (t5 * mixed_0_0_2_apart[1]);
+    const double t8 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
+    const double t9 = t8 + (mixed_0_0_2_share[1] * mode_filtered_covariance[3]);
+    const double t10 = mixed_0_0_2_factor * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[3] = t9 + (t10 * mixed_0_0_2_apart[0]);
+    const double t11 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
+    const double t12 = t11 + (mixed_0_0_2_share[1] * mode_filtered_covariance[4]);
+    mixed_0_0_2_covariance[4] = t12 + (t10 * mixed_0_0_2_apart[1]);
+    const double t13 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
+    const double t14 = t13 + (mixed_0_0_2_share[1] * mode_filtered_covariance[5]);
+    mixed_0_0_2_covariance[5] = t14 + (t10 * mixed_0_0_2_apart[2]);
+    const double t15 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
+    const double t16 = t15 + (mixed_0_0_2_share[1] * mode_filtered_covariance[6]);
+    const double t17 = mixed_0_0_2_factor * mixed_0_0_2_apart[3];
+    mixed_0_0_2_covariance[6] = t16 + (t17 * mixed_0_0_2_apart[0]);
+    const double t18 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
+    const double t19 = t18 + (mixed_0_0_2_share[1] * mode_filtered_covariance[7]);
+    mixed_0_0_2_covariance[7] = t19 + (t17 * mixed_0_0_2_apart[1]);
+    const double t20 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
+    const double t21 = t20 + (mixed_0_0_2_share[1] * mode_filtered_covariance[8]);
+    mixed_0_0_2_covariance[8] = t21 + (t17 * mixed_0_0_2_apart[2]);
+    const double t22 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
+    const double t23 = t22 + (mixed_0_0_2_share[1] * mode_filtered_covariance[9]);
+    mixed_0_0_2_covariance[9] = t23 + (t17 * mixed_0_0_2_apart[3]);
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_mixing_and_prediction_7(const double *mixing_0,
-    const double *mode_filtered_state, const double *mode_filtered_covariance, const double *Q,
-    const double *path_share_1, const double path_share_inverse_1, const double *A,
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mixing_and_prediction_8(const double
+    *mode_filtered_covariance, const double *mixing_0, const double *mode_filtered_state,
+    const double *Q, const double *path_share_1, const double path_share_inverse_1, const double *A,
     const double *path_share_2, const double path_share_inverse_2, const double mode_prediction_0,
     const double mode_prediction_1, const double mode_prediction_2, const double path_share_total_1,
     const double log_path_largest_1, const double path_share_total_2,
@@ -1417,155 +1049,160 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mixing_and_prediction_7(const d
     double *predicted_log_weight, double *mode_state, double *mode_covariance,
     double *predicted_state, double *predicted_covariance, const ship_track_params_t *params)
 {
+    double mixed_limits[4];
     double mixed_0_0_2_share[2];
     double mixed_0_0_1_inverse;
     double mixed_0_0_1_share[2];
     double mixed_0_0_1_mean[4];
-    double mixed_0_0_1_within[4];
-    double mixed_0_0_1_factor;
     double mixed_apart_0_1[4];
+    double mixed_apart_0_1_most;
     double mixed_apart_0_1_squared[10];
     double mixed_0_0_1_covariance[10];
     double mixed_0_0_2_mean[4];
+    double mixed_0_0_2_apart[4];
+    double mixed_0_0_2_apart_most;
+    double mixed_0_0_2_factor;
     double mixed_0_0_2_covariance[10];
     double moved_state_0[4];
     double moved_covariance_0[10];
     double mixed_1_0_1_inverse;
     double mixed_1_0_1_share[2];
     double mixed_1_0_1_mean[4];
-    double mixed_1_0_1_within[4];
-    double mixed_1_0_1_factor;
     double mixed_1_0_1_covariance[10];
     double moved_state_1[4];
     double moved_covariance_1[10];
     double mixed_2_0_2_share[2];
     double mixed_2_0_2_mean[4];
-    double mixed_2_0_2_within[4];
-    double mixed_2_0_2_factor;
     double mixed_2_0_2_apart[4];
+    double mixed_2_0_2_apart_most;
+    double mixed_2_0_2_factor;
     double mixed_2_0_2_covariance[10];
     double moved_state_2[4];
     double moved_covariance_2[10];
     ship_track_status_t status;
 
     /* mixing and prediction of every mode */
+    ship_track_mixing_and_prediction_5(mode_filtered_covariance, mixed_limits);
+    ship_track_mixing_and_prediction_5(&mode_filtered_covariance[2], &mixed_limits[1]);
+    ship_track_mixing_and_prediction_5(&mode_filtered_covariance[5], &mixed_limits[2]);
+    ship_track_mixing_and_prediction_5(&mode_filtered_covariance[9], &mixed_limits[3]);
     mixed_0_0_2_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_2_share[1] = mixing_0[2];
     mixed_0_0_1_inverse = 1.0 / (mixing_0[0] + mixing_0[1] + SHIP_TRACK_TINY);
     mixed_0_0_1_share[0] = mixing_0[0] * mixed_0_0_1_inverse;
     mixed_0_0_1_share[1] = mixing_0[1] * mixed_0_0_1_inverse;
-    ship_track_mixing_and_prediction_2(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
-        mode_filtered_covariance, mixed_0_0_1_within, &mixed_0_0_1_factor);
+    ship_track_mixing_and_prediction_6(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean);
+    ship_track_mixing_and_prediction_6(mixed_0_0_1_share, &mode_filtered_state[2],
+        &mixed_0_0_1_mean[2]);
     mixed_apart_0_1[0] = mode_filtered_state[0] - mode_filtered_state[4];
     mixed_apart_0_1[1] = mode_filtered_state[1] - mode_filtered_state[5];
     mixed_apart_0_1[2] = mode_filtered_state[2] - mode_filtered_state[6];
     mixed_apart_0_1[3] = mode_filtered_state[3] - mode_filtered_state[7];
-    ship_track_part_5(mixed_apart_0_1, mixed_apart_0_1_squared);
-    ship_track_mixing_and_prediction_5(mixed_0_0_1_share, mode_filtered_covariance,
-        mixed_0_0_1_factor, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
-    ship_track_part_2(mixed_0_0_2_share, mixed_0_0_1_mean, &mode_filtered_state[8],
-        mixed_0_0_2_mean, mixed_0_0_1_within, &mode_filtered_covariance[20], mixed_0_0_1_covariance,
+    ship_track_mixing_and_prediction_4(mixed_apart_0_1, mixed_limits, &mixed_apart_0_1_most);
+    ship_track_part_4(mixed_apart_0_1, mixed_apart_0_1_squared);
+    ship_track_mixing_and_prediction_3(mixed_0_0_1_share, mixed_apart_0_1_most,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
+    ship_track_part_3(mixed_0_0_2_share, mixed_0_0_1_mean, &mode_filtered_state[8],
+        mixed_0_0_2_mean, mixed_0_0_2_apart);
+    ship_track_mixing_and_prediction_4(mixed_0_0_2_apart, mixed_limits, &mixed_0_0_2_apart_most);
+    const double t0 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
+    mixed_0_0_2_factor = (t0 < mixed_0_0_2_apart_most) ? t0 : mixed_0_0_2_apart_most;
+    ship_track_mixing_and_prediction_7(mixed_0_0_2_share, mixed_0_0_1_covariance,
+        &mode_filtered_covariance[20], mixed_0_0_2_factor, mixed_0_0_2_apart,
         mixed_0_0_2_covariance);
     moved_state_0[0] = mixed_0_0_2_mean[0] + (params->dt * mixed_0_0_2_mean[2]);
     moved_state_0[1] = mixed_0_0_2_mean[1] + (params->dt * mixed_0_0_2_mean[3]);
     moved_state_0[2] = mixed_0_0_2_mean[2];
     moved_state_0[3] = mixed_0_0_2_mean[3];
-    const double t0 = mixed_0_0_2_covariance[0] + (params->dt * mixed_0_0_2_covariance[3]);
-    const double t1 = mixed_0_0_2_covariance[3] + (params->dt * mixed_0_0_2_covariance[5]);
-    moved_covariance_0[0] = t0 + (t1 * params->dt) + Q[0];
-    const double t2 = mixed_0_0_2_covariance[1] + (params->dt * mixed_0_0_2_covariance[6]);
-    const double t3 = mixed_0_0_2_covariance[4] + (params->dt * mixed_0_0_2_covariance[8]);
-    moved_covariance_0[1] = t2 + (t3 * params->dt);
-    const double t4 = mixed_0_0_2_covariance[2] + (params->dt * mixed_0_0_2_covariance[7]);
-    const double t5 = mixed_0_0_2_covariance[7] + (params->dt * mixed_0_0_2_covariance[9]);
-    moved_covariance_0[2] = t4 + (t5 * params->dt) + Q[2];
-    const double t6 = mixed_0_0_2_covariance[3] + (mixed_0_0_2_covariance[5] * params->dt);
-    moved_covariance_0[3] = t6 + Q[1];
+    const double t1 = mixed_0_0_2_covariance[0] + (params->dt * mixed_0_0_2_covariance[3]);
+    const double t2 = mixed_0_0_2_covariance[3] + (params->dt * mixed_0_0_2_covariance[5]);
+    moved_covariance_0[0] = t1 + (t2 * params->dt) + Q[0];
+    const double t3 = mixed_0_0_2_covariance[1] + (params->dt * mixed_0_0_2_covariance[6]);
+    const double t4 = mixed_0_0_2_covariance[4] + (params->dt * mixed_0_0_2_covariance[8]);
+    moved_covariance_0[1] = t3 + (t4 * params->dt);
+    const double t5 = mixed_0_0_2_covariance[2] + (params->dt * mixed_0_0_2_covariance[7]);
+    const double t6 = mixed_0_0_2_covariance[7] + (params->dt * mixed_0_0_2_covariance[9]);
+    moved_covariance_0[2] = t5 + (t6 * params->dt) + Q[2];
+    const double t7 = mixed_0_0_2_covariance[3] + (mixed_0_0_2_covariance[5] * params->dt);
+    moved_covariance_0[3] = t7 + Q[1];
     moved_covariance_0[4] = mixed_0_0_2_covariance[4] + (mixed_0_0_2_covariance[8] * params->dt);
     moved_covariance_0[5] = mixed_0_0_2_covariance[5] + Q[5];
     moved_covariance_0[6] = mixed_0_0_2_covariance[6] + (mixed_0_0_2_covariance[8] * params->dt);
-    const double t7 = mixed_0_0_2_covariance[7] + (mixed_0_0_2_covariance[9] * params->dt);
-    moved_covariance_0[7] = t7 + Q[3];
+    const double t8 = mixed_0_0_2_covariance[7] + (mixed_0_0_2_covariance[9] * params->dt);
+    moved_covariance_0[7] = t8 + Q[3];
     moved_covariance_0[9] = mixed_0_0_2_covariance[9] + Q[7];
     moved_covariance_0[8] = mixed_0_0_2_covariance[8];
-    const double t8 = path_share_1[0] * path_share_inverse_1;
-    mixed_1_0_1_inverse = 1.0 / (t8 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
+    const double t9 = path_share_1[0] * path_share_inverse_1;
+    mixed_1_0_1_inverse = 1.0 / (t9 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
     mixed_1_0_1_share[0] = path_share_1[0] * path_share_inverse_1 * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = path_share_1[1] * path_share_inverse_1 * mixed_1_0_1_inverse;
-    ship_track_mixing_and_prediction_2(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
-        mode_filtered_covariance, mixed_1_0_1_within, &mixed_1_0_1_factor);
-    ship_track_mixing_and_prediction_5(mixed_1_0_1_share, mode_filtered_covariance,
-        mixed_1_0_1_factor, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    ship_track_mixing_and_prediction_6(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean);
+    ship_track_mixing_and_prediction_6(mixed_1_0_1_share, &mode_filtered_state[2],
+        &mixed_1_0_1_mean[2]);
+    ship_track_mixing_and_prediction_3(mixed_1_0_1_share, mixed_apart_0_1_most,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
     ship_track_mixing_and_prediction(A, mixed_1_0_1_mean, moved_state_1, mixed_1_0_1_covariance,
         &Q[8], moved_covariance_1);
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
-    const double t9 = mixed_2_0_2_share[0] * mode_filtered_state[0];
-    mixed_2_0_2_mean[0] = t9 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
-    const double t10 = mixed_2_0_2_share[0] * mode_filtered_state[1];
-    mixed_2_0_2_mean[1] = t10 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
-    const double t11 = mixed_2_0_2_share[0] * mode_filtered_state[2];
-    mixed_2_0_2_mean[2] = t11 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
-    const double t12 = mixed_2_0_2_share[0] * mode_filtered_state[3];
-    mixed_2_0_2_mean[3] = t12 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
-    const double t13 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    mixed_2_0_2_within[0] = t13 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
-    const double t14 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    mixed_2_0_2_within[1] = t14 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
-    const double t15 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    mixed_2_0_2_within[2] = t15 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
-    const double t16 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    mixed_2_0_2_within[3] = t16 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
-    mixed_2_0_2_factor = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    ship_track_mixing_and_prediction_6(mixed_2_0_2_share, mode_filtered_state, mixed_2_0_2_within,
-        &mixed_2_0_2_factor);
+    const double t10 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    mixed_2_0_2_mean[0] = t10 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
+    const double t11 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    mixed_2_0_2_mean[1] = t11 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
+    const double t12 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    mixed_2_0_2_mean[2] = t12 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
+    const double t13 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    mixed_2_0_2_mean[3] = t13 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
     mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
     mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
     mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
     mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t17 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    const double t18 = t17 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
-    const double t19 = mixed_2_0_2_factor * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[0] = t18 + t19;
-    const double t20 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
-    const double t21 = t20 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
-    const double t22 = mixed_2_0_2_factor * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[1] = t21 + (t22 * mixed_2_0_2_apart[0]);
-    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
-    mixed_2_0_2_covariance[2] = t24 + (t22 * mixed_2_0_2_apart[1]);
-    const double t25 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
-    const double t26 = t25 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
-    const double t27 = mixed_2_0_2_factor * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[3] = t26 + (t27 * mixed_2_0_2_apart[0]);
-    const double t28 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
-    const double t29 = t28 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
-    mixed_2_0_2_covariance[4] = t29 + (t27 * mixed_2_0_2_apart[1]);
-    const double t30 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    const double t31 = t30 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
-    mixed_2_0_2_covariance[5] = t31 + (t27 * mixed_2_0_2_apart[2]);
-    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
-    const double t33 = t32 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
-    const double t34 = mixed_2_0_2_factor * mixed_2_0_2_apart[3];
-    mixed_2_0_2_covariance[6] = t33 + (t34 * mixed_2_0_2_apart[0]);
-    const double t35 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
-    const double t36 = t35 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
-    mixed_2_0_2_covariance[7] = t36 + (t34 * mixed_2_0_2_apart[1]);
-    const double t37 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
-    const double t38 = t37 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
-    mixed_2_0_2_covariance[8] = t38 + (t34 * mixed_2_0_2_apart[2]);
-    const double t39 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    const double t40 = t39 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
-    mixed_2_0_2_covariance[9] = t40 + (t34 * mixed_2_0_2_apart[3]);
+    ship_track_mixing_and_prediction_4(mixed_2_0_2_apart, mixed_limits, &mixed_2_0_2_apart_most);
+    const double t14 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    mixed_2_0_2_factor = (t14 < mixed_2_0_2_apart_most) ? t14 : mixed_2_0_2_apart_most;
+    const double t15 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t16 = t15 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
+    const double t17 = mixed_2_0_2_factor * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[0] = t16 + t17;
+    const double t18 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t19 = t18 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
+    const double t20 = mixed_2_0_2_factor * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[1] = t19 + (t20 * mixed_2_0_2_apart[0]);
+    const double t21 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t22 = t21 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
+    mixed_2_0_2_covariance[2] = t22 + (t20 * mixed_2_0_2_apart[1]);
+    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
+    const double t25 = mixed_2_0_2_factor * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[3] = t24 + (t25 * mixed_2_0_2_apart[0]);
+    const double t26 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t27 = t26 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
+    mixed_2_0_2_covariance[4] = t27 + (t25 * mixed_2_0_2_apart[1]);
+    const double t28 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t29 = t28 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
+    mixed_2_0_2_covariance[5] = t29 + (t25 * mixed_2_0_2_apart[2]);
+    const double t30 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t31 = t30 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
+    const double t32 = mixed_2_0_2_factor * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[6] = t31 + (t32 * mixed_2_0_2_apart[0]);
+    const double t33 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t34 = t33 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
+    mixed_2_0_2_covariance[7] = t34 + (t32 * mixed_2_0_2_apart[1]);
+    const double t35 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t36 = t35 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
+    mixed_2_0_2_covariance[8] = t36 + (t32 * mixed_2_0_2_apart[2]);
+    const double t37 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t38 = t37 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
+    mixed_2_0_2_covariance[9] = t38 + (t32 * mixed_2_0_2_apart[3]);
     ship_track_mixing_and_prediction(&A[8], mixed_2_0_2_mean, moved_state_2, mixed_2_0_2_covariance,
         &Q[8], moved_covariance_2);
 
     /* combined prediction */
-    status = ship_track_combined_prediction_2(mode_prediction_0, mode_prediction_1,
-        mode_prediction_2, moved_state_0, moved_state_1, moved_covariance_0, moved_covariance_1,
-        moved_state_2, moved_covariance_2, path_share_total_1, log_path_largest_1,
-        path_share_total_2, log_path_largest_2, predicted_mode_probability, predicted_log_weight,
-        mode_state, mode_covariance, predicted_state, predicted_covariance);
+    status = ship_track_combined_prediction(mode_prediction_0, mode_prediction_1, mode_prediction_2,
+        moved_state_0, moved_state_1, moved_covariance_0, moved_covariance_1, moved_state_2,
+        moved_covariance_2, path_share_total_1, log_path_largest_1, path_share_total_2,
+        log_path_largest_2, predicted_mode_probability, predicted_log_weight, mode_state,
+        mode_covariance, predicted_state, predicted_covariance);
     if (status != SHIP_TRACK_OK) { return status; }
     return SHIP_TRACK_OK;
 }
@@ -1594,6 +1231,39 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
     double innovation_m2_3 = 0.0;
+    double variance_m2[10];
+    double mean_m2[4] = { 0.0 };
+    double covariance_m2[10] = { 0.0 };
+    double quadratic_m2 = 0.0;
+    double log_constant_m2 = 0.0;
+    double determinant_m2_0 = 1.0;
+    double log_density_m2;
+    double weight[3];
+    double log_weight_now[3];
+    double log_evidence = 0.0;
+    double log_joint[3] = { 0.0 };
+    double log_largest = 0.0;
+    double share_of_largest[3] = { 0.0 };
+    double share_total = 0.0;
+    double share_total_inverse = 0.0;
+    double log_share_total = 0.0;
+    double combined_variance[10];
+    double combined_innovation[4];
+    double whitening_inverse_combined_0 = 0.0;
+    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_2 = 0.0;
+    double whitening_combined_0_3 = 0.0;
+    double whitening_inverse_combined_1 = 0.0;
+    double whitening_combined_1_2 = 0.0;
+    double whitening_combined_1_3 = 0.0;
+    double whitening_inverse_combined_2 = 0.0;
+    double whitening_combined_2_3 = 0.0;
+    double whitening_inverse_combined_3 = 0.0;
+    double combined_0_2_share[2];
+    double combined_0_1_inverse;
+    double combined_0_1_share[2];
+    double combined_0_2_mean[4];
+    double combined_0_2_covariance[10];
     ship_track_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0) &&
@@ -1624,16 +1294,120 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
 
     /* mode 2: with its own A, Q */
-    status = ship_track_mode_5(&self->mode_covariance[20], self->mode_state, innovation_m2_0,
-        innovation_m2_1, innovation_m2_2, innovation_m2_3, self->predicted_mode_probability,
-        self->predicted_log_weight, log_density_m0, log_density_m1, variance_m0, variance_m1,
-        innovation_m0_0, innovation_m1_0, innovation_m0_1, innovation_m1_1, innovation_m0_2,
-        innovation_m1_2, innovation_m0_3, innovation_m1_3, mean_m0, mean_m1, covariance_m0,
-        covariance_m1, next->innovation, next->innovation_covariance, &next->nis,
-        next->mode_probability, next->log_weight, &next->log_likelihood, next->filtered_state,
-        next->filtered_covariance, next->mode_filtered_state, next->mode_filtered_covariance,
+    ship_track_mode_4(&self->mode_covariance[20], variance_m2, &self->mode_state[8], mean_m2,
+        covariance_m2);
+
+    /* mode 2: with its own A, Q: row 0 of y, report_east */
+    status = ship_track_mode(&self->mode_covariance[20], innovation_m2_0, &self->mode_state[8],
+        &quadratic_m2, &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
+        innovation_m2_2, innovation_m2_3, present);
+    if (status != SHIP_TRACK_OK) { return status; }
+
+    /* mode 2: with its own A, Q */
+    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
+
+    /* probabilities of the modes */
+    ship_track_copy(self->predicted_mode_probability, weight, 3);
+    ship_track_copy(self->predicted_log_weight, log_weight_now, 3);
+    if ((present) != 0u)
+    {
+        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        log_largest = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        share_of_largest[0] = ship_track_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = ship_track_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = ship_track_exp(log_joint[2] - log_largest);
+        share_total = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        const double t1 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
+        if (!(t1 > 0.0)) { return SHIP_TRACK_RESULT_NOT_FINITE; }
+        if (!ship_track_finite(ship_track_defect(share_total)))
+        {
+            return SHIP_TRACK_RESULT_NOT_FINITE;
+        }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = ship_track_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        const double t2 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t2 > SHIP_TRACK_LOG_ZERO) ? t2 : SHIP_TRACK_LOG_ZERO;
+        const double t3 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t3 > SHIP_TRACK_LOG_ZERO) ? t3 : SHIP_TRACK_LOG_ZERO;
+        const double t4 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t4 > SHIP_TRACK_LOG_ZERO) ? t4 : SHIP_TRACK_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
+    }
+
+    /* innovation of the mixture */
+    status = ship_track_innovation_of_the_mixture_2(self->mode_state,
+        self->predicted_mode_probability, variance_m0, variance_m1, variance_m2, combined_variance,
+        innovation_m0_0, innovation_m1_0, innovation_m2_0, combined_innovation, innovation_m0_1,
+        innovation_m1_1, innovation_m2_1, innovation_m0_2, innovation_m1_2, innovation_m2_2,
+        innovation_m0_3, innovation_m1_3, innovation_m2_3, &whitening_inverse_combined_0,
+        &whitening_combined_0_1, &whitening_combined_0_2, &whitening_combined_0_3,
+        &whitening_inverse_combined_1, &whitening_combined_1_2, &whitening_combined_1_3,
+        &whitening_inverse_combined_2, &whitening_combined_2_3, &whitening_inverse_combined_3,
         present);
     if (status != SHIP_TRACK_OK) { return status; }
+
+    /* combination */
+    combined_0_2_share[0] = weight[0] + weight[1];
+    combined_0_2_share[1] = weight[2];
+    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + SHIP_TRACK_TINY);
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
+    ship_track_part_2(combined_0_1_share, mean_m0, mean_m1, covariance_m0, covariance_m1,
+        combined_0_2_share, mean_m2, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
+    if (!ship_track_finite((ship_track_defect(combined_0_2_mean[0]) +
+        ship_track_defect(combined_0_2_mean[1])) + (ship_track_defect(combined_0_2_mean[2]) +
+        ship_track_defect(combined_0_2_mean[3]))))
+    {
+        return SHIP_TRACK_RESULT_NOT_FINITE;
+    }
+    const double t5 = combined_innovation[0] * combined_innovation[0];
+    const double t6 = t5 * whitening_inverse_combined_0;
+    const double t7 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t8 = t6 + (t7 * t7 * whitening_inverse_combined_1);
+    const double t9 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t10 = t9 - (whitening_combined_1_2 * t7);
+    const double t11 = t8 + (t10 * t10 * whitening_inverse_combined_2);
+    const double t12 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
+    const double t13 = (t12 - (whitening_combined_1_3 * t7)) - (whitening_combined_2_3 * t10);
+    const double t14 = t11 + (t13 * t13 * whitening_inverse_combined_3);
+    if (!ship_track_finite(((((ship_track_defect(combined_variance[0]) +
+        ship_track_defect(combined_variance[2])) + ship_track_defect(combined_variance[5])) +
+        (ship_track_defect(combined_variance[9]) + ship_track_defect(t14))) +
+        (((ship_track_defect(log_weight_now[0]) + ship_track_defect(log_weight_now[1])) +
+        ship_track_defect(log_weight_now[2])) + (ship_track_defect(log_evidence) +
+        ship_track_defect(combined_0_2_covariance[0])))) +
+        ((((ship_track_defect(combined_0_2_covariance[1]) +
+        ship_track_defect(combined_0_2_covariance[2])) +
+        ship_track_defect(combined_0_2_covariance[3])) +
+        (ship_track_defect(combined_0_2_covariance[4]) +
+        ship_track_defect(combined_0_2_covariance[5]))) +
+        ((ship_track_defect(combined_0_2_covariance[6]) +
+        ship_track_defect(combined_0_2_covariance[7])) +
+        (ship_track_defect(combined_0_2_covariance[8]) +
+        ship_track_defect(combined_0_2_covariance[9]))))))
+    {
+        return SHIP_TRACK_RESULT_NOT_FINITE;
+    }
+    ship_track_copy(combined_innovation, next->innovation, 4);
+    ship_track_copy(combined_variance, next->innovation_covariance, 10);
+    next->nis = t14;
+    ship_track_copy(weight, next->mode_probability, 3);
+    ship_track_copy(log_weight_now, next->log_weight, 3);
+    next->log_likelihood = log_evidence;
+    ship_track_copy(combined_0_2_mean, next->filtered_state, 4);
+    ship_track_copy(combined_0_2_covariance, next->filtered_covariance, 10);
+    ship_track_copy(mean_m0, next->mode_filtered_state, 4);
+    ship_track_copy(mean_m1, &next->mode_filtered_state[4], 4);
+    ship_track_copy(mean_m2, &next->mode_filtered_state[8], 4);
+    ship_track_copy(covariance_m0, next->mode_filtered_covariance, 10);
+    ship_track_copy(covariance_m1, &next->mode_filtered_covariance[10], 10);
+    ship_track_copy(covariance_m2, &next->mode_filtered_covariance[20], 10);
     return SHIP_TRACK_OK;
 }
 
@@ -1737,8 +1511,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     path_share_inverse_2 = 1.0 / path_share_total_2;
 
     /* mixing and prediction of every mode */
-    status = ship_track_mixing_and_prediction_7(mixing_0, self->mode_filtered_state,
-        self->mode_filtered_covariance, Q, path_share_1, path_share_inverse_1, A, path_share_2,
+    status = ship_track_mixing_and_prediction_8(self->mode_filtered_covariance, mixing_0,
+        self->mode_filtered_state, Q, path_share_1, path_share_inverse_1, A, path_share_2,
         path_share_inverse_2, mode_prediction_0, mode_prediction_1, mode_prediction_2,
         path_share_total_1, log_path_largest_1, path_share_total_2, log_path_largest_2,
         next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,

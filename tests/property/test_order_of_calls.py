@@ -98,6 +98,10 @@ def stacked(numbers):
     }
 
 
+#: Covariances that are carried as U D U'.
+FACTORED = {"update": "ud"}
+
+
 @cache
 def plants():
     """Specs by name."""
@@ -109,15 +113,21 @@ def plants():
     return {
         "kf": spec(FOUR, family="kf"),
         "kf_joseph": spec(FOUR, family="kf", code={"update": "joseph"}),
+        "kf_ud": spec(FOUR, family="kf", code=FACTORED),
         "kf_gated": spec(DIAGONAL, family="kf", gate=GATE),
         "kf_functions": spec(VARYING, family="kf", parameters=PARAMETERS),
         "mkf": spec(UNDRIVEN, family="mkf", actuator={"success_rate": 0.7}),
         "mkf_sensed": spec(spread.TWO_ALONE, family="mkf", actuator=independent([0.7, 0.4])),
+        "mkf_ud": spec(
+            spread.TWO_ALONE, family="mkf", actuator=independent([0.7, 0.4]), code=FACTORED
+        ),
         "mme": spec(UNDRIVEN, family="mme", weight_floor=1e-3, **bank),
+        "mme_ud": spec(UNDRIVEN, family="mme", weight_floor=1e-3, code=FACTORED, **bank),
         "mme_no_floor": spec(UNDRIVEN, family="mme", weight_floor=0.0, **bank),
         "mme_sensed": spec(spread.TWO_ALONE, family="mme", **bank),
         "genie": sensor_specs.sensed(FOUR, {"rows": [0, 1]}, family="genie"),
         "imm": sensor_specs.sensed(DIAGONAL, LAW, family="imm"),
+        "imm_ud": sensor_specs.sensed(DIAGONAL, LAW, family="imm", code=FACTORED),
         "imm_jump": jumping(jumps, modes, transition=ALIKE),
         "imm_lumped": sensor_specs.sensed(
             DIAGONAL, sensor_specs.PROBLEMS["3"] | {"rows": [0, 1]}, family="imm", modes=3
@@ -144,12 +154,14 @@ def plants():
 
 #: Plants that take several updates of one sample; the others refuse the second one.
 TAKES = {"kf", "kf_joseph", "kf_functions", "mkf", "mme", "mme_no_floor", "genie", "imm"}
-TAKES |= {"imm_jump", "kf_gated"}
+TAKES |= {"imm_jump", "kf_gated", "kf_ud", "mme_ud", "imm_ud"}
 TAKES |= {f"nonlinear_{case}" for case in BY_EQUATIONS} - {
     f"nonlinear_{case}" for case in ("mkf_attitude", "mme_sensed", "imm_three", "one_step_attitude")
 }
 #: Rows of y that only one of several updates may take, together.
-TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "genie")} | {"kf_functions": [{0, 1}]}
+TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "kf_ud", "genie")} | {
+    "kf_functions": [{0, 1}]
+}
 
 
 def oracle(plant, y, u, params):
@@ -269,7 +281,7 @@ class Judge:
             self.sources = [hand_gated(DIAGONAL, record, u)]
         else:
             self.sources = [oracle(self.plant, record, u, params)]
-        if player.name in {"kf", "kf_joseph"}:
+        if player.name in {"kf", "kf_joseph", "kf_ud"}:
             self.sources.append(hand_made(FOUR, record, u, params))
 
     def same(self, k, snapshot, chosen):

@@ -225,7 +225,8 @@ def whiten(
     rows = [columns[i, :] for i in range(p)]
     inverses, logs = [], []
     for j in range(p):
-        pivot = builder.define(f"whitening_pivot{tag}_{j}", _at_least(S[j, j], own[j], least))
+        pivot = _at_least(S[j, j], own[j], least if j else 0.0)
+        pivot = builder.define(f"whitening_pivot{tag}_{j}", pivot)
         inverse, log = f"whitening_inverse{tag}_{j}", f"whitening_log{tag}_{j}"
         inverses.append(builder.local(inverse, 1, initial=0.0))
         logs.append(builder.local(log, 1, initial=0.0))
@@ -247,7 +248,7 @@ def whiten(
 
 def _at_least(pivot: ca.SX, own: ca.SX, share: float) -> ca.SX:
     """A pivot, or a share of the variance that it is left of."""
-    return pivot if share == 0.0 or pivot is own else ca.fmax(pivot, share * own)
+    return pivot if share == 0.0 else ca.fmax(pivot, share * own)
 
 
 def _whiten_in_loops(

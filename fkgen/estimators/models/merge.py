@@ -142,7 +142,7 @@ def mixture(
         mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
     apart = [each - mean for each, _ in own]
     name = f"{chart.name}_covariance{tag}"
-    if lasting and len(own) > 1:
+    if lasting and len(own) > 1 and order(own[0][1]) > 1:
         limits = Limits.of(chart.builder, f"{chart.name}{tag}", own, chart.plant.scalar)
         spread = chart.builder.define(f"{name}_outer", limits.bounded(weights, apart))
     if order(own[0][1]) < DENSE_STATES or not named:
@@ -269,6 +269,7 @@ class Mixer:
     ) -> None:
         self.builder, self.name, self.parts = builder, name, parts
         self.tiny = TINY[scalar]
+        lasting = lasting and order(parts[0][1]) > 1  # one variance is rounded in one direction
         self.limits = Limits.of(builder, name, parts, scalar) if lasting else None
         self._products: dict[range, tuple[ca.SX | None, ca.SX]] = {}
         self._known: dict[tuple[object, ...], Gaussian] = {}

@@ -502,9 +502,11 @@ def one_step_optimal(spec: Spec) -> Recursion:
         demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
-            limits = Limits.of(builder, "combined", parts, spec.code.scalar)
-            outer = limits.bounded(weights, [mean - state for mean, _ in parts])
-            outer = builder.define("combined_outer", outer)
+            outer = weights
+            if plant.ne > 1:
+                limits = Limits.of(builder, "combined", parts, spec.code.scalar)
+                outer = limits.bounded(weights, [mean - state for mean, _ in parts])
+                outer = builder.define("combined_outer", outer)
             covariance = mixture_covariance(weights, parts, state, outer)
         alone = covariances[:beside]
         if plant.attitudes:

@@ -18,14 +18,14 @@ import numpy as np
 from fkgen.backend.execute import Machine
 from fkgen.backend.ir import Operator
 from fkgen.backend.lower import lower
-from fkgen.estimators.gaussian.estimate import SHORT_FORM_RATIO, prior_to_noise, update_form
+from fkgen.estimators.gaussian.estimate import SHORT_FORM_RATIO, prior_to_noise
 from fkgen.families import family
 from fkgen.oracle.textbook.riccati import constant_input_noise
 from fkgen.problem import Code
 from fkgen.study.diagnostics.subject import Array, SteadyFilter, Subject, listed, numerical_rank
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
 from fkgen.symbolic.interface import Status
-from fkgen.symbolic.plant import plant_of
+from fkgen.symbolic.recursion import Recursion
 
 _LOST = {"float": 1e4, "double": 1e13}  # variances not told apart: 1 / eps, three digits to spare
 _WHERE = {
@@ -66,8 +66,8 @@ def perfect_measurements(model: Subject) -> None:
 
 def conditioning(model: Subject) -> None:
     """How many digits the covariance update needs, and which form of it is used."""
-    spec, plant = model.spec, plant_of(model.spec)
-    form = update_form(spec, plant, augmented=model.has_faults and bool(plant.D.nnz()))
+    spec = model.spec
+    form = family(spec.filter.family).build(spec).form
     ratio, scalar = prior_to_noise(spec), spec.code.scalar
     model.values |= dict.fromkeys(("prior_to_noise", "predicted_to_noise"), ratio)
     model.values["joseph_form"] = float(form == "joseph")
@@ -144,13 +144,14 @@ def _filtered_bound(model: Subject, steady: SteadyFilter) -> Array | None:
     if samples > _LONGEST:
         return None
     spec = replace(model.spec, code=Code("float", model.spec.code.update, fma=model.spec.code.fma))
-    machine = Machine(lower(family(spec.filter.family).build(spec)))
+    recursion = family(spec.filter.family).build(spec)
+    machine = Machine(lower(recursion))
     powers = [np.eye(len(F))]
     for _ in range(samples - 1):
         powers.append(F @ powers[-1])
     sizes, off = np.abs(powers), np.zeros_like(steady.predicted)
     for _ in range(2):
-        local = _local(machine, model, steady, off)
+        local = _local((recursion, machine), model, steady, off)
         if not local:
             return None
         off = (sizes @ local["predicted_covariance"] @ sizes.transpose(0, 2, 1)).sum(axis=0)
@@ -174,8 +175,11 @@ def usual_range(model: Subject) -> Array:
     return np.asarray(np.maximum(prior, size + 3.0 * np.sqrt(variance.clip(0.0))))
 
 
-def _local(machine: Machine, model: Subject, steady: SteadyFilter, off: Array) -> dict[str, Array]:
+def _local(
+    built: tuple[Recursion, Machine], model: Subject, steady: SteadyFilter, off: Array
+) -> dict[str, Array]:
     """Bounds on every port after one step from rest, with P off by ``off``; none if refused."""
+    recursion, machine = built
     x, u = usual_range(model), np.ones(model.spec.model.nu)
     y = model.C @ x + model.D @ u + 3.0 * np.sqrt(np.diag(steady.innovation).clip(0.0))
     machine.use(Bounded.stored, _elementary, ARITHMETIC)
@@ -183,6 +187,12 @@ def _local(machine: Machine, model: Subject, steady: SteadyFilter, off: Array) -
     stored = np.tril_indices(len(x))
     P = zip(steady.predicted[stored].tolist(), off[stored].tolist(), strict=True)
     machine.ports["predicted_covariance"] = [Bounded(*each) for each in P]
+    if "predicted_factors" in machine.ports:  # P is off by at most this share of it
+        shares = np.diag(off) / np.diag(steady.predicted).clip(np.finfo(float).tiny)
+        share = float(shares.max())
+        prior = {"P": tuple(steady.predicted[stored].tolist())}
+        factors = recursion.begun(model.spec.defaults, prior)["predicted_factors"]
+        machine.ports["predicted_factors"] = [Bounded(v, share * abs(v)) for v in factors]
     if machine.step(u.tolist(), y.tolist(), model.spec.defaults) is not Status.OK:
         return {}
     return {

@@ -56,7 +56,7 @@ PLANTS = {
 }
 
 
-@pytest.mark.parametrize("update", ["short", "joseph"])
+@pytest.mark.parametrize("update", ["short", "joseph", "ud"])
 @pytest.mark.parametrize("name", PLANTS)
 def test_it_is_the_filter_of_decorrelated_noise(name, update):
     model = PLANTS[name]

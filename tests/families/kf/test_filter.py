@@ -137,8 +137,8 @@ def test_the_input_of_a_sample_moves_the_next_prediction_not_this_one():
     np.testing.assert_array_equal(moved, np.ravel(MOTOR["B"]))
 
 
-@pytest.mark.parametrize("update", ["short", "joseph"])
-def test_both_forms_of_the_covariance_update_agree_on_a_benign_model(update):
+@pytest.mark.parametrize("update", ["short", "joseph", "ud"])
+def test_all_forms_of_the_covariance_update_agree_on_a_benign_model(update):
     model = random_model(8, 4, 2, correlated=True)
     plant = spec(model, family="kf", code={"update": update})
     y, u = record(plant, 8, missing=0.2)
