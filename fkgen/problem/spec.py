@@ -125,6 +125,7 @@ class Spec:
             file=file,
         )
         _check_numbers(spec, place)
+        _check_ranges(spec, place.entry("model").entry("states"))
         family.check_spec(spec)
         return spec
 
@@ -242,6 +243,30 @@ def _check_numbers(spec: Spec, place: Place) -> None:
     check_float(spec.parameters, spec.tables, largest, place)
     for plant, at in ((spec.model, place.entry("model")), *spec.placed_plants):
         _check_magnitudes(plant, at, spec)
+
+
+def _check_ranges(spec: Spec, place: Place) -> None:
+    """Refuse ranges of states that the start lies outside of, or that say nothing of what is kept.
+
+    The states that a mode leaves out are 0 in it.
+    """
+    traits, jump = spec.filter.traits, spec.faults.jump
+    x0 = spec.model.x0.values(spec.defaults).ravel().tolist()
+    for each in spec.model.ranged:
+        start, where = x0[each.at], place.entry(each.name).entry("range")
+        given = f"[{each.low:g}, {each.high:g}]"
+        if traits.moments or traits.windows != "none":
+            kept = "moments" if traits.moments else "windows"
+            expected = (
+                f"none for the family {spec.filter.family}: besides estimates it keeps {kept}"
+            )
+            raise where.error(given, expected)
+        if not each.low <= start <= each.high:
+            expected = f"a range around x0[{each.at}] = {start:g}, where the filter starts"
+            raise where.error(given, expected)
+        absent = jump is not None and not all(held[each.at] for held in jump.held)
+        if absent and not each.low <= 0.0 <= each.high:
+            raise where.error(given, "a range around 0: modes that leave this state out have 0")
 
 
 def as_spec(value: object, what: str = "spec") -> Spec:

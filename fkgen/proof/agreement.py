@@ -70,6 +70,8 @@ def _drawn(spec: Spec, given: Gentle) -> tuple[Record, int]:
     soft = spec.faults.soft
     T = SAMPLES + (soft.window if soft is not None and soft.window <= WAITED else 0)
     u = given.inputs(rng.normal(size=(T, spec.model.nu)))
+    for i, signal in enumerate(spec.model.inputs):
+        u[:, i] = u[:, i] if signal.range is None else np.clip(u[:, i], *signal.range)
     parameters = {
         item.name: np.clip(item.default * rng.uniform(0.99, 1.01, T), item.low, item.high)
         for item in spec.stated_parameters
@@ -110,8 +112,9 @@ def _machine(program: CProgram, record: Record) -> dict[str, Array]:
         now = {name: float(value[k]) for name, value in record.parameters.items()}
         machine.step(tuple(record.u[k]), tuple(y), now)
         stored = {name: np.array(values, machine.real) for name, values in machine.ports.items()}
+        shown = np.where(machine.outside(y), np.nan, y)
         for port in program.ports:
-            rows[port.name].append(port.shown(stored, y))
+            rows[port.name].append(port.shown(stored, shown))
     return {name: np.array(values) for name, values in rows.items()}
 
 

@@ -121,8 +121,10 @@ class _Trace:
         before = [self.number(target) for target in targets]
         self.body(node.body, outside=False)
         for target, old in zip(targets, before, strict=True):
-            ways = (self.latest[target], frozenset({(key, True)})), (old, frozenset({(key, False)}))
-            self.latest[target] = self._new(ways)
+            new = self.number(target)  # which nobody knows, if a loop wrote it
+            self.latest[target] = self._new(
+                ((new, frozenset({(key, True)})), (old, frozenset({(key, False)})))
+            )
 
     def number(self, operand: ir.Operand) -> int:
         """The number that an operand is now."""
