@@ -25,6 +25,7 @@ from fkgen.version import __version__
 if TYPE_CHECKING:
     from fkgen.problem import Spec
     from fkgen.study.records.reading import Reading
+    from fkgen.symbolic.validated import Claim
 
 _INTERRUPTED = 130
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan"}
@@ -229,28 +230,49 @@ def generate(spec: Spec, output: Path | None) -> None:
 
 @main.command()
 @_SPEC
-def verify(spec: Spec) -> None:
-    """Confront the filter of SPEC with the literature, and the compiled C with all of it."""
+@click.option("--target", "targets", multiple=True, help="Processor to emulate; repeat, or a,b.")
+@_JSON
+@click.option("-o", "--output", type=Path, help="JSON file with errors, seeds and versions.")
+@_FORCE
+def verify(
+    spec: Spec, *, targets: tuple[str, ...], as_json: bool, output: Path | None, force: bool
+) -> None:
+    """Confront the filter of SPEC with the literature, and the compiled C with all of it.
+
+    With --target it is built for processors, and 200 steps are held against those of this machine:
+    cortex-m0plus, cortex-m3, cortex-m4f, cortex-m7, cortex-m33, rv32imac, rv32imafc, rv64gc, avr.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from fkgen.proof.verify import steps
-    from fkgen.symbolic.validated import Claim
+    from fkgen.study.records.files import refuse_targets, write_whole
+    from fkgen.study.reports.evidence import FIGURES, Evidence, told
 
-    claims: list[Claim] = []
+    refuse_targets(output, force=force)
+    found = Evidence(spec, told(targets))
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=console(err=True), transient=True) as progress:
-        for step in progress.track(steps(spec), description=""):
+        for step in progress.track(found.steps(), description=""):
             progress.update(progress.task_ids[0], description=step.title)
-            claims += step.run()
+            found.take(step)
+    if output is not None:
+        write_whole(output, found.to_json().encode("utf-8"), force=force)
+    if as_json:
+        click.echo(found.to_json())
+    else:
+        _print_claims(found.claims)
+        if found.rows:
+            print_table(FIGURES, found.rows, **dict.fromkeys(FIGURES[2:], "right"))
+        click.echo(f"{len(found.claims) - found.failed} of {len(found.claims)} claims hold")
+    sys.exit(1 if found.failed else 0)
+
+
+def _print_claims(claims: Iterable[Claim]) -> None:
     holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
     head = ("claim", "source", "error", "allowed", "holds")
     rows = (
         (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds]) for c in claims
     )
     print_table(head, rows, error="right", allowed="right")
-    failed = sum(not claim.holds for claim in claims)
-    click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
-    sys.exit(1 if failed else 0)
 
 
 @main.command()

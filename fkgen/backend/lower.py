@@ -87,7 +87,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             family=spec.filter.family,
             source=recursion.source,
             notes=(*form, *recursion.notes),
-            digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
+            digest=digest_of(spec),
             sample_time=model.sample_time,
             attitudes=model.attitudes,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
@@ -106,6 +106,11 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             **_signals(model, ranged=recursion.ranged),
         )
     )
+
+
+def digest_of(spec: Spec) -> str:
+    """What the generated code calls the spec."""
+    return hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16]
 
 
 def _phases(recursion: sym.Recursion) -> tuple[tuple[Port, ...], dict[str, Any]]:

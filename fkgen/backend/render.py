@@ -59,7 +59,7 @@ _COMMENTS = {
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     """Print a program. ``claims`` are what was proved about it, for the manifest."""
-    context = _context(program)
+    context = context_of(program)
     name = program.name
     files = {
         f"{name}.h": filled("header.h.j2", context),
@@ -77,7 +77,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 
-def _context(program: CProgram) -> dict[str, object]:
+def context_of(program: CProgram) -> dict[str, object]:
+    """What the templates of one filter read."""
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     units = units_of(program)
