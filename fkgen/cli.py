@@ -228,6 +228,22 @@ def generate(spec: Spec, output: Path | None) -> None:
     click.echo(f"{len(design.claims)} claims hold; one step: {cost(source.program)}")
 
 
+@main.command("export-fmu")
+@_SPEC
+@click.option("-o", "--output", type=Path, help="File; default: the name of the filter, here.")
+@_FORCE
+def export_fmu(spec: Spec, output: Path | None, *, force: bool) -> None:
+    """Write the filter of SPEC as a unit for co-simulation, FMI 2.0: library and sources."""
+    from fkgen import pipeline
+    from fkgen.study.records.files import refuse_targets, write_whole
+    from fkgen.target.fmu import fmu
+
+    path = output or Path(f"{spec.name}.fmu")
+    refuse_targets(path, force=force)
+    write_whole(path, fmu(pipeline.generate(pipeline.validate(spec))), force=force)
+    click.echo(f"{path}: one step is one sample; NaN in y is a missing row")
+
+
 @main.command()
 @_SPEC
 @click.option("--target", "targets", multiple=True, help="Processor to emulate; repeat, or a,b.")

@@ -82,11 +82,12 @@ def compile_shared(
     *,
     statements: int = 0,
     libraries: tuple[str, ...] = (),
+    native: bool = True,
 ) -> None:
     """Compile one file into a shared library, for this processor where the compiler knows it."""
     optimisation = "-O3" if statements <= LARGE else "-O1"
     own = (*_FLAGS, optimisation)
-    known = (f"-march={NATIVE}",) if cache.processor() else ()
+    known = (f"-march={NATIVE}",) if native and cache.processor() else ()
     try:
         _compile(compiler, (*own, *known, *compiler.flags), source, library, libraries)
     except CompilerError:
