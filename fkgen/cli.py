@@ -212,14 +212,25 @@ def _styled(text: str, style: str) -> Any:
 @main.command()
 @_SPEC
 @click.option("-o", "--output", type=Path, help="Folder; default: the name of the filter, here.")
-def generate(spec: Spec, output: Path | None) -> None:
-    """Prove the filter of SPEC and write it as C."""
+@click.option("--package", "kinds", default="", help="With files for: cmake,cpp,arduino,...")
+def generate(spec: Spec, output: Path | None, kinds: str) -> None:
+    """Prove the filter of SPEC and write it as C.
+
+    A package is for one or several of cmake, arduino, platformio, zephyr, esp-idf, cmsis, mex and
+    cpp; its version and author are those of the table [package] of SPEC.
+    """
     from fkgen import pipeline
     from fkgen.backend.render import cost
     from fkgen.backend.source import own_files
+    from fkgen.target import packages
 
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
+    if kinds:
+        folder = output or Path(spec.name)
+        for name in packages.write(spec, source, packages.listed(kinds), folder):
+            click.echo(folder / name)
+        return
     folder = source.write(output or Path(spec.name))
     left = source.files.keys() - own_files(folder)
     for name in sorted(source.files.keys() - left):

@@ -31,6 +31,7 @@ from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope, evaluate
 from fkgen.problem.text.lookup import Table
 from fkgen.problem.text.matrix import Matrix, expressions
+from fkgen.problem.text.metadata import Metadata, read_metadata
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
@@ -38,7 +39,7 @@ if TYPE_CHECKING:  # types alone: faults are read by their families
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
-_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record")
+_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record", "package")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,8 @@ class Spec:
         What expressions may look up.
     record : Columns
         Names of columns in record files.
+    package : Metadata
+        What packages say about themselves.
     file : str
         Where it comes from.
     """
@@ -77,6 +80,7 @@ class Spec:
     code: Code
     tables: tuple[Table, ...] = ()
     record: Columns = field(default_factory=Columns)
+    package: Metadata = field(default_factory=Metadata, compare=False)
     file: str = field(default="<dict>", compare=False)
 
     @classmethod
@@ -122,6 +126,7 @@ class Spec:
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
             record=_read_record(whole, model, defaults),
+            package=read_metadata(whole.table.get("package", {}), place.entry("package")),
             file=file,
         )
         _check_numbers(spec, place)
@@ -208,11 +213,13 @@ class Spec:
         }
         tables = {each.name: each.plain() for each in self.tables}
         optional = {"tables": tables, "record": self.record.plain()}
+        optional |= {"package": self.package.plain()}
         return table | {key: value for key, value in optional.items() if value}
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
         table: Any = self.to_dict()
+        table.pop("package", None)
         table["parameters"] = [list(pair) for pair in table["parameters"].items()]
         if found := [[list(pair) for pair in each.plain_let] for each in self.equations]:
             table["let"] = found
