@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fkgen.problem import Spec
     from fkgen.study.records.filtering import Told
     from fkgen.study.records.reading import Reading
+    from fkgen.symbolic.validated import Claim
 
 _INTERRUPTED = 130
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan"}
@@ -217,14 +218,25 @@ def _styled(text: str, style: str) -> Any:
 @main.command()
 @_SPEC
 @click.option("-o", "--output", type=Path, help="Folder; default: the name of the filter, here.")
-def generate(spec: Spec, output: Path | None) -> None:
-    """Prove the filter of SPEC and write it as C."""
+@click.option("--package", "kinds", default="", help="With files for: cmake,cpp,arduino,...")
+def generate(spec: Spec, output: Path | None, kinds: str) -> None:
+    """Prove the filter of SPEC and write it as C.
+
+    A package is for one or several of cmake, arduino, platformio, zephyr, esp-idf, cmsis, mex and
+    cpp; its version and author are those of the table [package] of SPEC.
+    """
     from fkgen import pipeline
     from fkgen.backend.render import cost
     from fkgen.backend.source import own_files
+    from fkgen.target import packages
 
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
+    if kinds:
+        folder = output or Path(spec.name)
+        for name in packages.write(spec, source, packages.listed(kinds), folder):
+            click.echo(folder / name)
+        return
     folder = source.write(output or Path(spec.name))
     left = source.files.keys() - own_files(folder)
     for name in sorted(source.files.keys() - left):
@@ -233,30 +245,67 @@ def generate(spec: Spec, output: Path | None) -> None:
     click.echo(f"{len(design.claims)} claims hold; one step: {cost(source.program)}")
 
 
+@main.command("export-fmu")
+@_SPEC
+@click.option("-o", "--output", type=Path, help="File; default: the name of the filter, here.")
+@_FORCE
+def export_fmu(spec: Spec, output: Path | None, *, force: bool) -> None:
+    """Write the filter of SPEC as a unit for co-simulation, FMI 2.0: library and sources."""
+    from fkgen import pipeline
+    from fkgen.study.records.files import refuse_targets, write_whole
+    from fkgen.target.fmu import fmu
+
+    path = output or Path(f"{spec.name}.fmu")
+    refuse_targets(path, force=force)
+    write_whole(path, fmu(pipeline.generate(pipeline.validate(spec))), force=force)
+    click.echo(f"{path}: one step is one sample; NaN in y is a missing row")
+
+
 @main.command()
 @_SPEC
-def verify(spec: Spec) -> None:
-    """Confront the filter of SPEC with the literature, and the compiled C with all of it."""
+@click.option("--target", "targets", multiple=True, help="Processor to emulate; repeat, or a,b.")
+@_JSON
+@click.option("-o", "--output", type=Path, help="JSON file with errors, seeds and versions.")
+@_FORCE
+def verify(
+    spec: Spec, *, targets: tuple[str, ...], as_json: bool, output: Path | None, force: bool
+) -> None:
+    """Confront the filter of SPEC with the literature, and the compiled C with all of it.
+
+    With --target it is built for processors, and 200 steps are held against those of this machine:
+    cortex-m0plus, cortex-m3, cortex-m4f, cortex-m7, cortex-m33, rv32imac, rv32imafc, rv64gc, avr.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from fkgen.proof.verify import steps
-    from fkgen.symbolic.validated import Claim
+    from fkgen.study.records.files import refuse_targets, write_whole
+    from fkgen.study.reports.evidence import FIGURES, Evidence, told
 
-    claims: list[Claim] = []
+    refuse_targets(output, force=force)
+    found = Evidence(spec, told(targets))
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=console(err=True), transient=True) as progress:
-        for step in progress.track(steps(spec), description=""):
+        for step in progress.track(found.steps(), description=""):
             progress.update(progress.task_ids[0], description=step.title)
-            claims += step.run()
+            found.take(step)
+    if output is not None:
+        write_whole(output, found.to_json().encode("utf-8"), force=force)
+    if as_json:
+        click.echo(found.to_json())
+    else:
+        _print_claims(found.claims)
+        if found.rows:
+            print_table(FIGURES, found.rows, **dict.fromkeys(FIGURES[2:], "right"))
+        click.echo(f"{len(found.claims) - found.failed} of {len(found.claims)} claims hold")
+    sys.exit(1 if found.failed else 0)
+
+
+def _print_claims(claims: Iterable[Claim]) -> None:
     holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
     head = ("claim", "source", "error", "allowed", "holds")
     rows = (
         (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds]) for c in claims
     )
     print_table(head, rows, error="right", allowed="right")
-    failed = sum(not claim.holds for claim in claims)
-    click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
-    sys.exit(1 if failed else 0)
 
 
 @main.command()

@@ -20,7 +20,7 @@ from fkgen.backend.fused.rounding import fma
 from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError, UnfitError
 from fkgen.symbolic.index import Index, entries, value
-from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.interface import OUTSIDE, Kind, Status
 
 Array = NDArray[np.float64]
 
@@ -118,9 +118,12 @@ class Machine:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
         given = self._parameters(parameters)
-        for name, values in (("u", u), ("y", y)):
+        if any(map(self._is_outside, self.program.inputs, u)):
+            return Status.INPUT_OUT_OF_RANGE
+        outside = self.outside(y)
+        for name, values in (("u", u), ("y", y), (OUTSIDE, outside)):
             given |= {Element(Space.INPUT, name, i): real(v) for i, v in enumerate(values)}
-        present = [not np.isnan(v) for v in y]
+        present = [not (np.isnan(v) or out) for v, out in zip(y, outside, strict=True)]
         with np.errstate(all="ignore"):
             for phase in self.program.phases:
                 if phase.unless is not None and state[phase.unless][0] > 0:
@@ -130,7 +133,19 @@ class Machine:
                     return status
         self.ports = state
         applies = (o.status for o in self.program.outcomes if max(state[o.port]) > o.level)
-        return next(applies, Status.OK) if any(present) else Status.SKIPPED
+        seen = any(present) or any(outside)
+        return next(applies, Status.OK) if seen else Status.SKIPPED
+
+    def outside(self, y: Sequence[float] | NDArray[np.floating]) -> list[bool]:
+        """Which rows of y are out of their ranges."""
+        return [self._is_outside(row, v) for row, v in zip(self.program.outputs, y, strict=True)]
+
+    def _is_outside(self, signal: ir.Signal, value: float) -> bool:
+        """Whether a number is out of the range of its signal; NaN is not."""
+        if signal.range is None:
+            return False
+        low, high = map(self.real, signal.range)
+        return bool(self.real(value) < low or self.real(value) > high)
 
     def _run(
         self,
@@ -170,7 +185,8 @@ class _Code:
         self._homes: dict[Any, int] = {}  # where arrays begin, and temporaries and constants are
         program = machine.program
         self._sizes = {port.name: port.size for port in program.ports}
-        self._sizes |= {"u": len(program.inputs), "y": len(program.outputs)}
+        rows = len(program.outputs)
+        self._sizes |= {"u": len(program.inputs), "y": rows, OUTSIDE: rows}
         self._sizes |= dict(zip(("x", "P"), map(len, program.prior), strict=True))
         for local in phase.locals:
             home = self._home((Space.LOCAL, local.name), local.size)
@@ -380,10 +396,25 @@ def _short_records(program: ir.CProgram) -> Iterator[tuple[Array, Array]]:
     y[MARKED, 0] = np.nan
     last = np.zeros((SAMPLES, p))
     last[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else 0.0
-    yield u, np.where(last > 0.0, last, y)
+    yield _ranged(program, u, np.where(last > 0.0, last, y))
     for scale in NEARER:
         for level, path in program.paths:
-            yield _short(level + scale * u), _short(np.array(path) + scale * y + last)
+            near = _short(level + scale * u), _short(np.array(path) + scale * y + last)
+            yield _ranged(program, *near)
+
+
+def _ranged(program: ir.CProgram, u: Array, y: Array) -> tuple[Array, Array]:
+    """The same within the ranges of signals, but for one row of the last sample."""
+    for signals, values in ((program.inputs, u), (program.outputs, y)):
+        for i, signal in enumerate(signals):
+            if signal.range is not None:
+                values[:, i] = np.clip(values[:, i], *signal.range)
+    for i, row in reversed([*enumerate(program.outputs)]):
+        if row.range is not None:
+            low, high = row.range
+            y[-1, i] = high + (high - low)
+            break
+    return u, y
 
 
 def _short(values: Array) -> Array:

@@ -378,10 +378,11 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Name and unit of one state, input or measurement."""
+    """Name, unit and range of one state, input or measurement."""
 
     name: str
     unit: str
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -461,11 +462,18 @@ class CProgram:
         return tuple(found)
 
     @property
+    def screens(self) -> bool:
+        """Whether rows of y have ranges."""
+        return any(row.range is not None for row in self.outputs)
+
+    @property
     def statuses(self) -> tuple[Status, ...]:
         """What its functions can return."""
         told = {outcome.status for outcome in self.outcomes}
         told |= {Status.NOT_A_ROTATION} if self.attitudes else set()
-        special = {*VERDICTS, Status.NOT_A_ROTATION}
+        ranged = any(each.range for each in (*self.states, *self.inputs))
+        told |= {Status.INPUT_OUT_OF_RANGE} if ranged else set()
+        special = {*VERDICTS, Status.NOT_A_ROTATION, Status.INPUT_OUT_OF_RANGE}
         return tuple(status for status in Status if status not in special or status in told)
 
     @property

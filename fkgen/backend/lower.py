@@ -26,7 +26,7 @@ from fkgen.problem.functions.finite import path_of
 from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.index import At, Target, Whole, name_of, names_in
-from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interface import OUTSIDE, Port
 from fkgen.symbolic.ports import PARAMETER, prior_of, prior_ports
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
@@ -88,7 +88,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             family=spec.filter.family,
             source=recursion.source,
             notes=(*form, *recursion.notes),
-            digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
+            digest=digest_of(spec),
             sample_time=model.sample_time,
             attitudes=model.attitudes,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
@@ -104,9 +104,14 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             stated=stated(spec, phases),
             paths=_paths(spec),
             **lowered,
-            **_signals(model),
+            **_signals(model, ranged=recursion.ranged),
         )
     )
+
+
+def digest_of(spec: Spec) -> str:
+    """What the generated code calls the spec."""
+    return hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16]
 
 
 def _phases(recursion: sym.Recursion) -> tuple[tuple[Port, ...], dict[str, Any]]:
@@ -140,18 +145,24 @@ def _paths(spec: Spec) -> tuple[tuple[float, tuple[tuple[float, ...], ...]], ...
     return tuple(found)
 
 
-def _signals(model: Model) -> dict[str, Any]:
+def _signals(model: Model, *, ranged: bool) -> dict[str, Any]:
     """States, inputs and outputs by name, of an attitude its four numbers."""
-    named = ((name, "" if s.manifold else s.unit) for s in model.states for name in coordinates(s))
+    signals = {
+        "states": [(name, s, s.manifold) for s in model.states for name in coordinates(s)],
+        "inputs": [(each.name, each, "") for each in model.inputs],
+        "outputs": [(each.name, each, "") for each in model.outputs],
+    }
     return {
-        "states": tuple(ir.Signal(*each) for each in named),
-        "inputs": tuple(ir.Signal(each.name, each.unit) for each in model.inputs),
-        "outputs": tuple(ir.Signal(each.name, each.unit) for each in model.outputs),
+        key: tuple(
+            ir.Signal(name, "" if manifold else each.unit, each.range if ranged else None)
+            for name, each, manifold in found
+        )
+        for key, found in signals.items()
     }
 
 
 def lower_phase(
-    ports: tuple[Port, ...], phase: sym.Phase, inputs: tuple[str, ...] = ("u", "y")
+    ports: tuple[Port, ...], phase: sym.Phase, inputs: tuple[str, ...] = ("u", "y", OUTSIDE)
 ) -> ir.Phase:
     """Turn one phase into statements; ``inputs`` are arguments of the function, not members."""
     lowering = _Lowering({port.name: bool(port.shape) for port in ports}, phase, inputs)
@@ -358,7 +369,7 @@ def verify(program: ir.CProgram) -> ir.CProgram:
     """Return ``program`` if it is well formed: assigned before read, results once, no condition."""
     written: set[tuple[str, int | None]] = set()
     sizes = {port.name: port.size for port in program.ports}
-    sizes |= {"u": len(program.inputs), "y": len(program.outputs)}
+    sizes |= {"u": len(program.inputs), **dict.fromkeys(("y", OUTSIDE), len(program.outputs))}
     for phase in program.phases:
         written |= _check_phase(program.name, phase)
         _check_places(program.name, phase, sizes)

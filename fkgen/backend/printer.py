@@ -87,6 +87,12 @@ class StatementPrinter:
         words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
         return f"({' | '.join(words)}) != 0u"
 
+    @property
+    def any_rejected(self) -> str:
+        """Test whether any row of y was rejected."""
+        words = [f"self->rejected[{i}]" for i in range(self.words)]
+        return f"({' | '.join(words) if self.words > 1 else 'self->rejected'}) != 0u"
+
     def any_of(self, rows: Sequence[int]) -> str:
         """Test whether any of these rows of y is present."""
         masks: dict[int, int] = {}

@@ -17,6 +17,7 @@ from fkgen.backend.ir import (
     Operator,
     Phase,
     Scalar,
+    Signal,
     Space,
     Triangle,
     every,
@@ -28,7 +29,7 @@ from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, comb
 from fkgen.backend.routines import Outline, outline
 from fkgen.backend.size.stack import BYTES, instance_of, stack_of
 from fkgen.backend.source import SHARED, Source, complete
-from fkgen.symbolic.interface import Port, Role, Status
+from fkgen.symbolic.interface import OUTSIDE, Port, Role, Status
 from fkgen.version import API_VERSION, __version__
 
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
@@ -58,7 +59,7 @@ _COMMENTS = {
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     """Print a program. ``claims`` are what was proved about it, for the manifest."""
-    context = _context(program)
+    context = context_of(program)
     name = program.name
     files = {
         f"{name}.h": filled("header.h.j2", context),
@@ -76,7 +77,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 
-def _context(program: CProgram) -> dict[str, object]:
+def context_of(program: CProgram) -> dict[str, object]:
+    """What the templates of one filter read."""
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     units = units_of(program)
@@ -101,6 +103,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "shape": _shape_text,
         "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
         "ranges": dict(program.stated.ranges),
+        "bounds": _bounds(c),
+        "indices": _indices(program),
         "listed": filled_lines,
         "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
@@ -120,6 +124,39 @@ def _context(program: CProgram) -> dict[str, object]:
         "functions": _functions(c),
         "order": _order(c, outlined),
         **_selftest(c),
+    }
+
+
+def _indices(program: CProgram) -> list[tuple[str, str, list[tuple[str, int]]]]:
+    """Names of numbers, in capitals, and where they are; of an attitude that of the first."""
+    titles: list[tuple[str, str, tuple[Signal, ...]]] = [
+        ("Indices of states", "STATE", program.states),
+        ("Indices of inputs", "INPUT", program.inputs),
+        ("Indices of measurements", "OUTPUT", program.outputs),
+    ]
+    if program.attitudes:
+        covariances = "Rows of covariances of the state; of an attitude the first of three"
+        titles[0] = ("Indices of states; of an attitude the first of four", *titles[0][1:])
+        titles.insert(1, (covariances, "ERROR", program.errors))
+    found = []
+    for title, kind, signals in titles:
+        stems = [signal.name.partition("[")[0].upper() for signal in signals]
+        first = dict(zip(reversed(stems), reversed(range(len(stems))), strict=True))
+        found.append((title, kind, sorted(first.items(), key=lambda each: each[1])))
+    return [each for each in found if each[2]]
+
+
+def _bounds(c: Printer) -> dict[str, list[list[str]]]:
+    """Least and largest numbers of x, u and y as C; nothing where none has a range."""
+    signals = {"x": c.program.states, "u": c.program.inputs, "y": c.program.outputs}
+    return {
+        letter: [
+            [f"-{c.limit}" if each.range is None else c.literal(each.range[0]) for each in found],
+            [c.limit if each.range is None else c.literal(each.range[1]) for each in found],
+        ]
+        if any(each.range is not None for each in found)
+        else []
+        for letter, found in signals.items()
     }
 
 
@@ -192,6 +229,7 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
         given |= {"y": f"const {c.real} *y", "present": c.present}
+        given |= {OUTSIDE: f"const {c.real} *{OUTSIDE}"} if c.program.screens else {}
     return given
 
 
@@ -217,7 +255,8 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
 
 def _functions(c: Printer) -> dict[str, dict[str, Any]]:
     """Update, predict and step: what each is called with, and what it returns."""
-    outcome = f"({c.any_row}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
+    seen = f"({c.any_row}) || ({c.any_rejected})" if c.program.screens else c.any_row
+    outcome = f"({seen}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
     functions = {}
     for name in ("update", "predict", "step"):
         arguments = _arguments(c, name)
@@ -241,6 +280,7 @@ def _order(c: Printer, outlined: Outline) -> dict[str, Any]:
     updated, closing = program.written(program.update), program.closing
     # Part of y may be handed on, so there has to be one, although nothing reads it.
     absent = {"y": "unread" if handed_on else "NULL", "present": "0u" if c.words == 1 else "none"}
+    absent |= {OUTSIDE: "inside"} if program.screens else {}
     given["renew"] = given["correct"]
     given["first"] = given["again"] = given["correct"] | given["propagate"]
     given["pass"] = {name: text for name, text in given["correct"].items() if name not in absent}

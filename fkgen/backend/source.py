@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,34 @@ class Source:
             expected = "a folder that can be written"
             raise OutputError(str(target), given=reason, expected=expected) from None
         return target
+
+
+def write_package(target: Path, files: Mapping[str, str], facts: Mapping[str, Any]) -> None:
+    """Write files of one package, in folders too, completely or not at all.
+
+    Raises
+    ------
+    OutputError
+        If a file was edited, if there is one of others, or if the folder cannot be written.
+    """
+    known: dict[str, str] = {}
+    try:
+        if target.exists() and not target.is_dir():
+            raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
+        if (target / MANIFEST).exists():
+            try:
+                known = dict(json.loads((target / MANIFEST).read_text(encoding="utf-8"))["package"])
+            except (ValueError, KeyError, TypeError):
+                raise _taken(target / MANIFEST) from None
+        _refuse_edited(target, {k: d for k, d in known.items() if ".." not in Path(k).parts})
+        _refuse_taken(target, files, {*known}, ())
+        digests = {name: _digest(text) for name, text in sorted(files.items())}
+        manifest = json.dumps({**facts, "package": digests}, indent=2) + "\n"
+        with _scratch(target) as scratch:
+            _exchange(target, scratch, {**files, MANIFEST: manifest}, known.keys() - files.keys())
+    except OSError as error:
+        reason, expected = (error.strerror or str(error)).lower(), "a folder that can be written"
+        raise OutputError(str(target), given=reason, expected=expected) from None
 
 
 @contextmanager
@@ -184,6 +213,9 @@ def _exchange(target: Path, scratch: Path, files: Mapping[str, str], gone: Itera
     new, old = scratch / "new", scratch / "old"
     new.mkdir()
     old.mkdir()
+    gone = tuple(gone)
+    for folder, name in product((new, old, target), (*gone, *files)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (new / name).write_text(text, encoding="utf-8", newline="\n")
     moved: list[tuple[Path, Path]] = []

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.errors import SpecError
 from fkgen.problem.covariance import checked_covariance
@@ -34,6 +35,17 @@ _KEYS = (
     *("A", "B", "C", "D", "Q", "R", "c", "d", "S", "F", "V", "G", "W", "x0", "P0"),
     *("sample_time", "time", "states", "inputs", "outputs", "system"),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Ranged:
+    """A state with a range, and where it is in x and among the rows of its covariance."""
+
+    name: str
+    at: int
+    error: int
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +107,21 @@ class Model:
     def ny(self) -> int:
         """Number of outputs, p."""
         return len(self.outputs)
+
+    @property
+    def ranged(self) -> tuple[Ranged, ...]:
+        """The states that have a range."""
+        found, at, error = [], 0, 0
+        for state in self.states:
+            found += [] if state.range is None else [Ranged(state.name, at, error, *state.range)]
+            at, error = at + (4 if state.manifold else 1), error + (3 if state.manifold else 1)
+        return tuple(found)
+
+    def within(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Measurements (..., p), with NaN in place of those outside of the range of their row."""
+        low, high = np.array([row.range or (-np.inf, np.inf) for row in self.outputs]).T
+        with np.errstate(invalid="ignore"):
+            return np.where((y < low) | (y > high), np.float64(np.nan), y)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""

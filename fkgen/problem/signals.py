@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -119,6 +120,7 @@ MAX_DELAY = 100
 _DELAY = f"a whole number of samples, 0..{MAX_DELAY}"
 
 Manifold = Literal["", "SO3"]
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +131,7 @@ class Signal:
     unit: str = ""  # Such as "rad/s"; empty if not stated
     wrap: bool = False  # An angle in radians, whose differences lie in (-pi, pi]
     manifold: Manifold = ""  # "SO3": a unit quaternion (w, x, y, z), body to world
+    range: Range | None = None  # Least and largest value that it has in normal operation
     max_delay: int = 0  # Samples by which a row of y may be late
 
     @property
@@ -141,9 +144,15 @@ class Signal:
         table: dict[str, object] = {"name": self.name, "unit": self.unit}
         table |= {"wrap": True} if self.wrap else {}
         table |= {"max_delay": self.max_delay} if self.max_delay else {}
+        table |= {} if self.range is None else {"range": list(self.range)}
         return table | ({"manifold": self.manifold} if self.manifold else {})
 
 
+#: Names after <NAME>_INPUT_ and <NAME>_VALID_ that are those of statuses and sizes.
+_TAKEN = {
+    "inputs": frozenset(("not_finite", "out_of_range")),
+    "outputs": frozenset(("words",)),
+}
 #: What a signal may state besides its name and unit.
 _ABOUT: dict[str, tuple[str, ...]] = {
     "states": ("wrap", "manifold"),
@@ -164,27 +173,51 @@ def read_signals(section: Section, key: str, letter: str, count: int | None) -> 
     entries = as_list(section.table[key], place, expected)
     if count not in {None, len(entries)}:
         raise place.error(f"{len(entries)} entries", f"{count}: the model has {count} {key}")
-    about = ("name", "unit", *_ABOUT.get(key, ()))
-    signals = tuple(_signal(each, place.item(index), about) for index, each in enumerate(entries))
+    about = ("name", "unit", "range", *_ABOUT.get(key, ()))
+    refused = ((_TAKEN.get(key, frozenset()), "a name whose constant the header has not already"),)
+    signals = tuple(
+        _signal(each, place.item(index), about, refused) for index, each in enumerate(entries)
+    )
     check_distinct((signal.name for signal in signals), place, key)
     return signals
 
 
-def _signal(entry: object, place: Place, about: tuple[str, ...]) -> Signal:
+def _signal(entry: object, place: Place, about: tuple[str, ...], refused: Refused) -> Signal:
     section = Section(entry, place, known=about)
-    name = read_name(section.require("name", "a C identifier"), place.entry("name"))
+    given = section.require("name", "a C identifier")
+    name = read_name(given, place.entry("name"), refused)
     unit, wrap = read_unit(section), section.flag("wrap", default=False)
     manifold: Manifold = (
         section.choice("manifold", ("SO3",), "SO3") if "manifold" in section else ""
     )
+    span = _range(section)
+    if span is not None and (manifold or (wrap and "manifold" in about)):
+        beside = "manifold = 'SO3'" if manifold else "wrap = true"
+        expected = "none: an estimate that turns round has no least and no largest value"
+        raise section.error("range", f"a range beside {beside}", expected)
     if wrap and manifold:
         raise section.error("wrap", "wrap beside manifold = 'SO3'", "one of the two")
     delay = section.number("max_delay", _DELAY, _is_delay, 0) if "max_delay" in section else 0
-    return Signal(name, unit, wrap, manifold, int(delay))
+    return Signal(name, unit, wrap, manifold, span, int(delay))
 
 
 def _is_delay(number: float) -> bool:
     return number in range(MAX_DELAY + 1)
+
+
+def _range(section: Section) -> Range | None:
+    """Least and largest value, if they are stated."""
+    if "range" not in section:
+        return None
+    place = section.place.entry("range")
+    expected = "a list of two finite numbers [low, high], low < high"
+    found = as_list(section.table["range"], place, expected)
+    if len(found) != 2:
+        raise place.error(f"{len(found)} entries", expected)
+    low, high = (as_number(each, place.item(i), expected) for i, each in enumerate(found))
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise place.error(f"[{low:g}, {high:g}]", expected)
+    return low, high
 
 
 def read_unit(section: Section) -> str:

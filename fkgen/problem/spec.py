@@ -32,6 +32,7 @@ from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope, evaluate
 from fkgen.problem.text.lookup import Table
 from fkgen.problem.text.matrix import Matrix, expressions
+from fkgen.problem.text.metadata import Metadata, read_metadata
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
@@ -39,7 +40,7 @@ if TYPE_CHECKING:  # types alone: faults are read by their families
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
-_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record")
+_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record", "package")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,8 @@ class Spec:
         What expressions may look up.
     record : Columns
         Names of columns in record files.
+    package : Metadata
+        What packages say about themselves.
     file : str
         Where it comes from.
     """
@@ -79,6 +82,7 @@ class Spec:
     code: Code
     tables: tuple[Table, ...] = ()
     record: Columns = field(default_factory=Columns)
+    package: Metadata = field(default_factory=Metadata, compare=False)
     file: str = field(default="<dict>", compare=False)
 
     @classmethod
@@ -125,9 +129,11 @@ class Spec:
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
             record=_read_record(whole, model, [each.name for each in parameters]),
+            package=read_metadata(whole.table.get("package", {}), place.entry("package")),
             file=file,
         )
         _check_numbers(spec, place)
+        _check_ranges(spec, place.entry("model").entry("states"))
         family.check_spec(spec)
         return spec
 
@@ -211,11 +217,13 @@ class Spec:
         }
         tables = {each.name: each.plain() for each in self.tables}
         optional = {"tables": tables, "record": self.record.plain()}
+        optional |= {"package": self.package.plain()}
         return table | {key: value for key, value in optional.items() if value}
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
         table: Any = self.to_dict()
+        table.pop("package", None)
         table["parameters"] = [list(pair) for pair in table["parameters"].items()]
         if found := [[list(pair) for pair in each.plain_let] for each in self.equations]:
             table["let"] = found
@@ -246,6 +254,30 @@ def _check_numbers(spec: Spec, place: Place) -> None:
     check_float(spec.parameters, spec.tables, largest, place)
     for plant, at in ((spec.model, place.entry("model")), *spec.placed_plants):
         _check_magnitudes(plant, at, spec)
+
+
+def _check_ranges(spec: Spec, place: Place) -> None:
+    """Refuse ranges of states that the start lies outside of, or that say nothing of what is kept.
+
+    The states that a mode leaves out are 0 in it.
+    """
+    traits, jump = spec.filter.traits, spec.faults.jump
+    x0 = spec.model.x0.values(spec.defaults).ravel().tolist()
+    for each in spec.model.ranged:
+        start, where = x0[each.at], place.entry(each.name).entry("range")
+        given = f"[{each.low:g}, {each.high:g}]"
+        if traits.moments or traits.windows != "none":
+            kept = "moments" if traits.moments else "windows"
+            expected = (
+                f"none for the family {spec.filter.family}: besides estimates it keeps {kept}"
+            )
+            raise where.error(given, expected)
+        if not each.low <= start <= each.high:
+            expected = f"a range around x0[{each.at}] = {start:g}, where the filter starts"
+            raise where.error(given, expected)
+        absent = jump is not None and not all(held[each.at] for held in jump.held)
+        if absent and not each.low <= 0.0 <= each.high:
+            raise where.error(given, "a range around 0: modes that leave this state out have 0")
 
 
 def as_spec(value: object, what: str = "spec") -> Spec:

@@ -30,6 +30,9 @@ Array = NDArray[np.floating]
 
 SAMPLES = 50
 
+#: Of the records.
+SEED = 20260101
+
 #: Windows of compression filters up to this length come to their end within the record.
 WAITED = 500
 
@@ -49,12 +52,14 @@ _FUSED = 1e-3
 MISSING = 0.2
 
 
-def trial(spec: Spec) -> Record:
+def trial(spec: Spec, samples: int = SAMPLES) -> Record:
     """A record of the model itself with missing rows; parameters shaken by a percent each time.
 
     Of a plant by equations the first that has values at all samples, or else at most of them.
     """
-    tried = (_drawn(spec, given) for given in (GENTLER if is_nonlinear(spec) else (PLAIN,)))
+    tried = (
+        _drawn(spec, given, samples) for given in (GENTLER if is_nonlinear(spec) else (PLAIN,))
+    )
     record, lasting = next(tried)
     for other, count in tried:
         if lasting == len(record.y):
@@ -64,12 +69,14 @@ def trial(spec: Spec) -> Record:
     return record
 
 
-def _drawn(spec: Spec, given: Gentle) -> tuple[Record, int]:
+def _drawn(spec: Spec, given: Gentle, samples: int) -> tuple[Record, int]:
     """A record, and at how many samples the plant that was drawn has values."""
-    rng = np.random.default_rng(20260101)
+    rng = np.random.default_rng(SEED)
     soft = spec.faults.soft
-    T = SAMPLES + (soft.window if soft is not None and soft.window <= WAITED else 0)
+    T = samples + (soft.window if soft is not None and soft.window <= WAITED else 0)
     u = given.inputs(rng.normal(size=(T, spec.model.nu)))
+    for i, signal in enumerate(spec.model.inputs):
+        u[:, i] = u[:, i] if signal.range is None else np.clip(u[:, i], *signal.range)
     parameters = {
         item.name: np.clip(item.default * rng.uniform(0.99, 1.01, T), item.low, item.high)
         for item in spec.stated_parameters
@@ -110,8 +117,9 @@ def _machine(program: CProgram, record: Record) -> dict[str, Array]:
         now = {name: float(value[k]) for name, value in record.parameters.items()}
         machine.step(tuple(record.u[k]), tuple(y), now)
         stored = {name: np.array(values, machine.real) for name, values in machine.ports.items()}
+        shown = np.where(machine.outside(y), np.nan, y)
         for port in program.ports:
-            rows[port.name].append(port.shown(stored, y))
+            rows[port.name].append(port.shown(stored, shown))
     return {name: np.array(values) for name, values in rows.items()}
 
 

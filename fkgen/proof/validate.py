@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.errors import ValidationError
+from fkgen.estimators.ranges import confined
 from fkgen.families import family
 from fkgen.families.family import Family
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record
@@ -58,7 +59,7 @@ def _proved(spec: Spec) -> Validated:
     recursion = found.build(spec)
     warned = (each.message for each in caveats)
     design = confront(found, replace(recursion, notes=(*recursion.notes, *warned)))
-    return replace(design, findings=caveats)
+    return replace(design, findings=caveats, recursion=confined(design.recursion))
 
 
 def confront(tested: Family, recursion: Recursion) -> Validated:

@@ -75,21 +75,35 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
     return Compiler(command, identity, tuple(flags))
 
 
-def compile_shared(compiler: Compiler, source: Path, library: Path, *, statements: int) -> None:
+def compile_shared(
+    compiler: Compiler,
+    source: Path,
+    library: Path,
+    *,
+    statements: int = 0,
+    libraries: tuple[str, ...] = (),
+    native: bool = True,
+) -> None:
     """Compile one file into a shared library, for this processor where the compiler knows it."""
     optimisation = "-O3" if statements <= LARGE else "-O1"
     own = (*_FLAGS, optimisation)
-    known = (f"-march={NATIVE}",) if cache.processor() else ()
+    known = (f"-march={NATIVE}",) if native and cache.processor() else ()
     try:
-        _compile(compiler, (*own, *known, *compiler.flags), source, library)
+        _compile(compiler, (*own, *known, *compiler.flags), source, library, libraries)
     except CompilerError:
         if not known:
             raise
-        _compile(compiler, (*own, *compiler.flags), source, library)
+        _compile(compiler, (*own, *compiler.flags), source, library, libraries)
 
 
-def _compile(compiler: Compiler, flags: tuple[str, ...], source: Path, library: Path) -> None:
-    command = [*compiler.command, *flags, str(source), "-lm", "-o", str(library)]
+def _compile(
+    compiler: Compiler,
+    flags: tuple[str, ...],
+    source: Path,
+    library: Path,
+    libraries: tuple[str, ...],
+) -> None:
+    command = [*compiler.command, *flags, str(source), *libraries, "-lm", "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

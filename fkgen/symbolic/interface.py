@@ -46,11 +46,15 @@ class Status(Enum):
     SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"
     WRONG_ORDER = -7, "a second update of this sample, which this filter cannot take: predict first"
     NOT_A_ROTATION = -8, "a quaternion to start from is not of unit length, to within 1e-3"
+    INPUT_OUT_OF_RANGE = -9, "u, or a mean to start from, lies outside of its range"
 
 
 #: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells
 #: the latest estimate; 1 for each group of rows with correlated noises of which one was used since.
 UPDATED, CORRELATED = "updated", "correlated"
+
+#: An argument of an update beside y: 1 for each row that was measured and is out of its range.
+OUTSIDE = "outside"
 
 #: Statuses that only filters have which test their samples.
 VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)

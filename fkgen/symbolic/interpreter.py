@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
 from fkgen.symbolic.index import At, Target, Whole, entries, name_of, value
-from fkgen.symbolic.interface import Kind
+from fkgen.symbolic.interface import OUTSIDE, Kind
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.symbolic.recursion import (
     Block,
@@ -101,7 +101,11 @@ class Interpreter:
         """Update, then predict; False if a guard refused the sample (nothing changes then)."""
         values = {name: array.copy() for name, array in self.values.items()}
         values |= {PARAMETER + name: np.array([value]) for name, value in parameters.items()}
-        values |= {"y": y, "u": u}
+        if not self._may_drive(u):
+            return False
+        measured = self._measured(y)
+        outside = (np.isnan(measured) & ~np.isnan(y)).astype(float)
+        values |= {"y": measured, "u": u, OUTSIDE: outside}
         for phase, blocks in self._phases:
             if phase.unless is not None and values[phase.unless][0] > 0.0:
                 continue
@@ -114,6 +118,17 @@ class Interpreter:
         self.values = {name: values[name] for name in self.values}
         return True
 
+    def _measured(self, y: Array) -> Array:
+        """What is left of measurements: those out of range are missing."""
+        return self.recursion.spec.model.within(y) if self.recursion.ranged else y
+
+    def _may_drive(self, u: Array) -> bool:
+        """Whether inputs are in their ranges."""
+        if not self.recursion.ranged:
+            return True
+        spans = [each.range or (-np.inf, np.inf) for each in self.recursion.spec.model.inputs]
+        return all(not (v < low or v > high) for v, (low, high) in zip(u, spans, strict=True))
+
     def run(
         self,
         y: Array,
@@ -125,10 +140,11 @@ class Interpreter:
         """Filter a record; ports by name, (T, ...), NaN in innovations of missing rows."""
         ports = [p for p in self.recursion.ports if keep is None or p.name in keep]
         rows: dict[str, list[NDArray[np.floating]]] = {port.name: [] for port in ports}
+        measured = self._measured(y)
         for k in range(len(y)):
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
-                rows[port.name].append(port.shown(self.values, y[k]))
+                rows[port.name].append(port.shown(self.values, measured[k]))
         return {name: np.array(value) for name, value in rows.items()}
 
 

@@ -218,6 +218,7 @@ class Recursion:
     #: Of the covariance update, "short", "joseph" or "ud"; None where nothing is updated
     form: Literal["short", "joseph", "ud"] | None = None
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
+    ranged: bool = False  # Whether it observes the ranges that the spec states of signals
     #: Statuses in place of OK, the first that applies
     outcomes: tuple[Outcome, ...] = ()
     #: Rows of y with correlated noises, in groups: an update that follows an update may take rows
@@ -279,6 +280,9 @@ class Recursion:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
 
+
+#: Title of blocks that keep ports in their ranges: what these are made of is guarded before.
+CONFINED = "within the ranges of the spec"
 
 #: Title of the block that looks at the run-time parameters.
 _DOMAIN = "run-time parameters in their range"
@@ -402,6 +406,8 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
         nonlocal sound
         if isinstance(block, OfMatrices):
             sound -= {e.element_hash() for e in ca.symvar(phase.symbols[block.target.name])}
+            return block
+        if block.title == CONFINED:
             return block
         if isinstance(block, Loop):
             body = tuple(guarded(each, once=False) for each in block.body)

@@ -135,6 +135,72 @@ extern "C" {
 #define ATTITUDE_NU 6
 #define ATTITUDE_NMODES 3
 
+/** Indices of states; of an attitude the first of four. */
+enum
+{
+    ATTITUDE_STATE_Q = 0,
+    ATTITUDE_STATE_BIAS_X = 4,
+    ATTITUDE_STATE_BIAS_Y = 5,
+    ATTITUDE_STATE_BIAS_Z = 6,
+    ATTITUDE_STATE_V_E = 7,
+    ATTITUDE_STATE_V_N = 8,
+    ATTITUDE_STATE_V_U = 9,
+    ATTITUDE_STATE_M_X = 10,
+    ATTITUDE_STATE_M_Y = 11,
+    ATTITUDE_STATE_M_Z = 12
+};
+
+/** Rows of covariances of the state; of an attitude the first of three. */
+enum
+{
+    ATTITUDE_ERROR_Q = 0,
+    ATTITUDE_ERROR_BIAS_X = 3,
+    ATTITUDE_ERROR_BIAS_Y = 4,
+    ATTITUDE_ERROR_BIAS_Z = 5,
+    ATTITUDE_ERROR_V_E = 6,
+    ATTITUDE_ERROR_V_N = 7,
+    ATTITUDE_ERROR_V_U = 8,
+    ATTITUDE_ERROR_M_X = 9,
+    ATTITUDE_ERROR_M_Y = 10,
+    ATTITUDE_ERROR_M_Z = 11
+};
+
+/** Indices of inputs. */
+enum
+{
+    ATTITUDE_INPUT_TURN_X = 0,
+    ATTITUDE_INPUT_TURN_Y = 1,
+    ATTITUDE_INPUT_TURN_Z = 2,
+    ATTITUDE_INPUT_PUSH_X = 3,
+    ATTITUDE_INPUT_PUSH_Y = 4,
+    ATTITUDE_INPUT_PUSH_Z = 5
+};
+
+/** Indices of measurements. */
+enum
+{
+    ATTITUDE_OUTPUT_STILL_E = 0,
+    ATTITUDE_OUTPUT_STILL_N = 1,
+    ATTITUDE_OUTPUT_STILL_U = 2,
+    ATTITUDE_OUTPUT_MAG_X = 3,
+    ATTITUDE_OUTPUT_MAG_Y = 4,
+    ATTITUDE_OUTPUT_MAG_Z = 5,
+    ATTITUDE_OUTPUT_REST_X = 6,
+    ATTITUDE_OUTPUT_REST_Y = 7,
+    ATTITUDE_OUTPUT_REST_Z = 8
+};
+
+/** Bits of `valid`. */
+#define ATTITUDE_VALID_STILL_E UINT32_C(0x1)
+#define ATTITUDE_VALID_STILL_N UINT32_C(0x2)
+#define ATTITUDE_VALID_STILL_U UINT32_C(0x4)
+#define ATTITUDE_VALID_MAG_X UINT32_C(0x8)
+#define ATTITUDE_VALID_MAG_Y UINT32_C(0x10)
+#define ATTITUDE_VALID_MAG_Z UINT32_C(0x20)
+#define ATTITUDE_VALID_REST_X UINT32_C(0x40)
+#define ATTITUDE_VALID_REST_Y UINT32_C(0x80)
+#define ATTITUDE_VALID_REST_Z UINT32_C(0x100)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define ATTITUDE_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

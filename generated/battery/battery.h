@@ -68,6 +68,26 @@ extern "C" {
 #define BATTERY_NU 0
 #define BATTERY_NMODES 4
 
+/** Indices of states. */
+enum
+{
+    BATTERY_STATE_SOC = 0,
+    BATTERY_STATE_V1 = 1,
+    BATTERY_STATE_CURRENT = 2,
+    BATTERY_STATE_R0 = 3
+};
+
+/** Indices of measurements. */
+enum
+{
+    BATTERY_OUTPUT_SENSOR = 0,
+    BATTERY_OUTPUT_VOLTAGE = 1
+};
+
+/** Bits of `valid`. */
+#define BATTERY_VALID_SENSOR UINT32_C(0x1)
+#define BATTERY_VALID_VOLTAGE UINT32_C(0x2)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define BATTERY_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -67,6 +67,38 @@ extern "C" {
 #define CAR_SPEED_NY 6
 #define CAR_SPEED_NU 1
 
+/** Indices of states. */
+enum
+{
+    CAR_SPEED_STATE_SPEED = 0,
+    CAR_SPEED_STATE_BIAS = 1
+};
+
+/** Indices of inputs. */
+enum
+{
+    CAR_SPEED_INPUT_A_FWD = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    CAR_SPEED_OUTPUT_WHEEL_FL = 0,
+    CAR_SPEED_OUTPUT_WHEEL_FR = 1,
+    CAR_SPEED_OUTPUT_WHEEL_RL = 2,
+    CAR_SPEED_OUTPUT_WHEEL_RR = 3,
+    CAR_SPEED_OUTPUT_UBLOX = 4,
+    CAR_SPEED_OUTPUT_QCOM = 5
+};
+
+/** Bits of `valid`. */
+#define CAR_SPEED_VALID_WHEEL_FL UINT32_C(0x1)
+#define CAR_SPEED_VALID_WHEEL_FR UINT32_C(0x2)
+#define CAR_SPEED_VALID_WHEEL_RL UINT32_C(0x4)
+#define CAR_SPEED_VALID_WHEEL_RR UINT32_C(0x8)
+#define CAR_SPEED_VALID_UBLOX UINT32_C(0x10)
+#define CAR_SPEED_VALID_QCOM UINT32_C(0x20)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define CAR_SPEED_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

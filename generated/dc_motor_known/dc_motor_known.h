@@ -62,6 +62,28 @@ extern "C" {
 #define DC_MOTOR_KNOWN_NY 1
 #define DC_MOTOR_KNOWN_NU 1
 
+/** Indices of states. */
+enum
+{
+    DC_MOTOR_KNOWN_STATE_CURRENT = 0,
+    DC_MOTOR_KNOWN_STATE_SPEED = 1
+};
+
+/** Indices of inputs. */
+enum
+{
+    DC_MOTOR_KNOWN_INPUT_VOLTAGE = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    DC_MOTOR_KNOWN_OUTPUT_SPEED_MEASURED = 0
+};
+
+/** Bits of `valid`. */
+#define DC_MOTOR_KNOWN_VALID_SPEED_MEASURED UINT32_C(0x1)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define DC_MOTOR_KNOWN_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

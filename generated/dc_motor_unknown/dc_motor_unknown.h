@@ -72,6 +72,30 @@ extern "C" {
 #define DC_MOTOR_UNKNOWN_NU 1
 #define DC_MOTOR_UNKNOWN_NMODES 5
 
+/** Indices of states. */
+enum
+{
+    DC_MOTOR_UNKNOWN_STATE_CURRENT = 0,
+    DC_MOTOR_UNKNOWN_STATE_SPEED = 1
+};
+
+/** Indices of inputs. */
+enum
+{
+    DC_MOTOR_UNKNOWN_INPUT_VOLTAGE = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    DC_MOTOR_UNKNOWN_OUTPUT_SPEED_MEASURED = 0,
+    DC_MOTOR_UNKNOWN_OUTPUT_VOLTAGE_MEASURED = 1
+};
+
+/** Bits of `valid`. */
+#define DC_MOTOR_UNKNOWN_VALID_SPEED_MEASURED UINT32_C(0x1)
+#define DC_MOTOR_UNKNOWN_VALID_VOLTAGE_MEASURED UINT32_C(0x2)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define DC_MOTOR_UNKNOWN_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

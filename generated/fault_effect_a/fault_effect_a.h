@@ -64,6 +64,31 @@ extern "C" {
 #define FAULT_EFFECT_A_NY 2
 #define FAULT_EFFECT_A_NU 1
 
+/** Indices of states. */
+enum
+{
+    FAULT_EFFECT_A_STATE_X1 = 0,
+    FAULT_EFFECT_A_STATE_X2 = 1,
+    FAULT_EFFECT_A_STATE_X3 = 2
+};
+
+/** Indices of inputs. */
+enum
+{
+    FAULT_EFFECT_A_INPUT_U = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    FAULT_EFFECT_A_OUTPUT_Y1 = 0,
+    FAULT_EFFECT_A_OUTPUT_Y2 = 1
+};
+
+/** Bits of `valid`. */
+#define FAULT_EFFECT_A_VALID_Y1 UINT32_C(0x1)
+#define FAULT_EFFECT_A_VALID_Y2 UINT32_C(0x2)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define FAULT_EFFECT_A_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -71,6 +71,27 @@ extern "C" {
 #define GPS_GLITCH_NU 0
 #define GPS_GLITCH_NMODES 4
 
+/** Indices of states. */
+enum
+{
+    GPS_GLITCH_STATE_HEIGHT = 0,
+    GPS_GLITCH_STATE_CLIMB = 1,
+    GPS_GLITCH_STATE_OFFSET = 2
+};
+
+/** Indices of measurements. */
+enum
+{
+    GPS_GLITCH_OUTPUT_BARO = 0,
+    GPS_GLITCH_OUTPUT_GPS_HEIGHT = 1,
+    GPS_GLITCH_OUTPUT_GPS_CLIMB = 2
+};
+
+/** Bits of `valid`. */
+#define GPS_GLITCH_VALID_BARO UINT32_C(0x1)
+#define GPS_GLITCH_VALID_GPS_HEIGHT UINT32_C(0x2)
+#define GPS_GLITCH_VALID_GPS_CLIMB UINT32_C(0x4)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define GPS_GLITCH_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -85,6 +85,23 @@ extern "C" {
 #define MARKOV_JUMP_NY 1
 #define MARKOV_JUMP_NU 0
 
+/** Indices of states. */
+enum
+{
+    MARKOV_JUMP_STATE_POSITION = 0,
+    MARKOV_JUMP_STATE_VELOCITY = 1,
+    MARKOV_JUMP_STATE_ACCELERATION = 2
+};
+
+/** Indices of measurements. */
+enum
+{
+    MARKOV_JUMP_OUTPUT_MEASURED_POSITION = 0
+};
+
+/** Bits of `valid`. */
+#define MARKOV_JUMP_VALID_MEASURED_POSITION UINT32_C(0x1)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define MARKOV_JUMP_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

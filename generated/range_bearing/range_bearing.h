@@ -74,6 +74,34 @@ extern "C" {
 #define RANGE_BEARING_NU 2
 #define RANGE_BEARING_NMODES 4
 
+/** Indices of states. */
+enum
+{
+    RANGE_BEARING_STATE_X = 0,
+    RANGE_BEARING_STATE_Y = 1,
+    RANGE_BEARING_STATE_HEADING = 2
+};
+
+/** Indices of inputs. */
+enum
+{
+    RANGE_BEARING_INPUT_SPEED = 0,
+    RANGE_BEARING_INPUT_TURN = 1
+};
+
+/** Indices of measurements. */
+enum
+{
+    RANGE_BEARING_OUTPUT_RANGE = 0,
+    RANGE_BEARING_OUTPUT_BEARING = 1,
+    RANGE_BEARING_OUTPUT_COMPASS = 2
+};
+
+/** Bits of `valid`. */
+#define RANGE_BEARING_VALID_RANGE UINT32_C(0x1)
+#define RANGE_BEARING_VALID_BEARING UINT32_C(0x2)
+#define RANGE_BEARING_VALID_COMPASS UINT32_C(0x4)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define RANGE_BEARING_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -61,6 +61,21 @@ extern "C" {
 #define SENSOR_FAULTS_2_NU 0
 #define SENSOR_FAULTS_2_NMODES 4
 
+/** Indices of states. */
+enum
+{
+    SENSOR_FAULTS_2_STATE_X0 = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    SENSOR_FAULTS_2_OUTPUT_Y0 = 0
+};
+
+/** Bits of `valid`. */
+#define SENSOR_FAULTS_2_VALID_Y0 UINT32_C(0x1)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define SENSOR_FAULTS_2_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

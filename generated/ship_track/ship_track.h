@@ -98,6 +98,30 @@ extern "C" {
 #define SHIP_TRACK_NU 0
 #define SHIP_TRACK_NMODES 3
 
+/** Indices of states. */
+enum
+{
+    SHIP_TRACK_STATE_EAST = 0,
+    SHIP_TRACK_STATE_NORTH = 1,
+    SHIP_TRACK_STATE_SPEED_EAST = 2,
+    SHIP_TRACK_STATE_SPEED_NORTH = 3
+};
+
+/** Indices of measurements. */
+enum
+{
+    SHIP_TRACK_OUTPUT_REPORT_EAST = 0,
+    SHIP_TRACK_OUTPUT_REPORT_NORTH = 1,
+    SHIP_TRACK_OUTPUT_REPORT_SPEED_EAST = 2,
+    SHIP_TRACK_OUTPUT_REPORT_SPEED_NORTH = 3
+};
+
+/** Bits of `valid`. */
+#define SHIP_TRACK_VALID_REPORT_EAST UINT32_C(0x1)
+#define SHIP_TRACK_VALID_REPORT_NORTH UINT32_C(0x2)
+#define SHIP_TRACK_VALID_REPORT_SPEED_EAST UINT32_C(0x4)
+#define SHIP_TRACK_VALID_REPORT_SPEED_NORTH UINT32_C(0x8)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define SHIP_TRACK_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -351,7 +351,7 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     double inverse_taken_0 = 0.0;
     double quadratic_taken = 0.0;
     double accepted;
-    double rejected;
+    double faulty;
     double threshold = 0.0;
     double closed_state[2];
     double closed_covariance[3];
@@ -399,7 +399,7 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
 
     /* verdict */
     accepted = self->collecting;
-    rejected = 0.0;
+    faulty = 0.0;
     const double t5 = rank - 0.5;
     if (t5 > 0.0)
     {
@@ -409,7 +409,7 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     if (t6 > 0.0)
     {
         accepted = 0.0;
-        rejected = 1.0;
+        faulty = 1.0;
     }
 
     /* the host takes over */
@@ -445,7 +445,7 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     next->collecting = 0.0;
     next->test_statistic = t7;
     next->test_dof = t8;
-    next->fault_declared = rejected;
+    next->fault_declared = faulty;
     return SOFT_FAULT_CPCF_OK;
 }
 

@@ -59,6 +59,24 @@ extern "C" {
 #define SOFT_FAULT_CPCF_NY 2
 #define SOFT_FAULT_CPCF_NU 0
 
+/** Indices of states. */
+enum
+{
+    SOFT_FAULT_CPCF_STATE_POSITION = 0,
+    SOFT_FAULT_CPCF_STATE_VELOCITY = 1
+};
+
+/** Indices of measurements. */
+enum
+{
+    SOFT_FAULT_CPCF_OUTPUT_MEASURED_POSITION = 0,
+    SOFT_FAULT_CPCF_OUTPUT_MEASURED_VELOCITY = 1
+};
+
+/** Bits of `valid`. */
+#define SOFT_FAULT_CPCF_VALID_MEASURED_POSITION UINT32_C(0x1)
+#define SOFT_FAULT_CPCF_VALID_MEASURED_VELOCITY UINT32_C(0x2)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define SOFT_FAULT_CPCF_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -363,7 +363,7 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     double share_0_0_1 = 0.0;
     double inverse_0_1 = 0.0;
     double accepted_0;
-    double rejected_0;
+    double faulty_0;
     double closed_state[2];
     double closed_covariance[3];
 
@@ -417,12 +417,12 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
 
     /* verdict on group 0 */
     accepted_0 = self->collecting;
-    rejected_0 = 0.0;
+    faulty_0 = 0.0;
     const double t10 = statistic_0 - threshold_0;
     if (t10 > 0.0)
     {
         accepted_0 = 0.0;
-        rejected_0 = 1.0;
+        faulty_0 = 1.0;
     }
     closed_state[0] = self->filtered_state[0];
     closed_state[1] = self->filtered_state[1];
@@ -454,7 +454,7 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     next->collecting = 0.0;
     next->test_statistic = statistic_0;
     next->test_dof = dof_0;
-    next->fault_declared = rejected_0;
+    next->fault_declared = faulty_0;
     return SOFT_FAULT_DFCF_OK;
 }
 

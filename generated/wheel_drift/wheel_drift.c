@@ -682,16 +682,16 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
 
 /* verdict on group 0; verdict on group 1; verdict on group 2; verdict on group 3. */
 WHEEL_DRIFT_INLINE void wheel_drift_verdict_on_group(const double collecting, double *accepted,
-    double *rejected, const double statistic, const double threshold)
+    double *faulty, const double statistic, const double threshold)
 {
     /* verdict on group 0 */
     accepted[0] = collecting;
-    rejected[0] = 0.0;
+    faulty[0] = 0.0;
     const double t0 = statistic - threshold;
     if (t0 > 0.0)
     {
         accepted[0] = 0.0;
-        rejected[0] = 1.0;
+        faulty[0] = 1.0;
     }
 }
 
@@ -1005,8 +1005,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_2(const double *p
 WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     const double *filtered_covariance, const double *compression_covariance,
     const double *compression_deviation, double *statistic_1, double *dof_1, double *statistic_2,
-    double *dof_2, double *statistic_3, double *dof_3, double *rejected_0, const double statistic_0,
-    const double threshold_0, double *rejected_1, double *rejected_2, double *rejected_3,
+    double *dof_2, double *statistic_3, double *dof_3, double *faulty_0, const double statistic_0,
+    const double threshold_0, double *faulty_1, double *faulty_2, double *faulty_3,
     const double *filtered_state, double *closed_state, double *closed_covariance)
 {
     double threshold_1 = 0.0;
@@ -1030,19 +1030,16 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
         &compression_deviation[6], statistic_3, dof_3, &threshold_3);
 
     /* verdict on group 0 */
-    wheel_drift_verdict_on_group(collecting[0], &accepted_0, rejected_0, statistic_0, threshold_0);
+    wheel_drift_verdict_on_group(collecting[0], &accepted_0, faulty_0, statistic_0, threshold_0);
 
     /* verdict on group 1 */
-    wheel_drift_verdict_on_group(collecting[1], &accepted_1, rejected_1, statistic_1[0],
-        threshold_1);
+    wheel_drift_verdict_on_group(collecting[1], &accepted_1, faulty_1, statistic_1[0], threshold_1);
 
     /* verdict on group 2 */
-    wheel_drift_verdict_on_group(collecting[2], &accepted_2, rejected_2, statistic_2[0],
-        threshold_2);
+    wheel_drift_verdict_on_group(collecting[2], &accepted_2, faulty_2, statistic_2[0], threshold_2);
 
     /* verdict on group 3 */
-    wheel_drift_verdict_on_group(collecting[3], &accepted_3, rejected_3, statistic_3[0],
-        threshold_3);
+    wheel_drift_verdict_on_group(collecting[3], &accepted_3, faulty_3, statistic_3[0], threshold_3);
     closed_state[0] = filtered_state[0];
     closed_state[1] = filtered_state[1];
     wheel_drift_copy(filtered_covariance, closed_covariance, 3);
@@ -1701,10 +1698,10 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double dof_2 = 0.0;
     double statistic_3 = 0.0;
     double dof_3 = 0.0;
-    double rejected_0;
-    double rejected_1;
-    double rejected_2;
-    double rejected_3;
+    double faulty_0;
+    double faulty_1;
+    double faulty_2;
+    double faulty_3;
     double closed_state[2];
     double closed_covariance[3];
 
@@ -1716,9 +1713,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     /* test of group 1 */
     wheel_drift_test_of_group_2(self->collecting, self->filtered_covariance,
         self->compression_covariance, self->compression_deviation, &statistic_1, &dof_1,
-        &statistic_2, &dof_2, &statistic_3, &dof_3, &rejected_0, statistic_0, threshold_0,
-        &rejected_1, &rejected_2, &rejected_3, self->filtered_state, closed_state,
-        closed_covariance);
+        &statistic_2, &dof_2, &statistic_3, &dof_3, &faulty_0, statistic_0, threshold_0, &faulty_1,
+        &faulty_2, &faulty_3, self->filtered_state, closed_state, closed_covariance);
 
     /* results of the window */
     if (!wheel_drift_finite((((wheel_drift_defect(closed_state[0]) +
@@ -1790,10 +1786,10 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     next->test_dof[1] = dof_1;
     next->test_dof[2] = dof_2;
     next->test_dof[3] = dof_3;
-    next->fault_declared[0] = rejected_0;
-    next->fault_declared[1] = rejected_1;
-    next->fault_declared[2] = rejected_2;
-    next->fault_declared[3] = rejected_3;
+    next->fault_declared[0] = faulty_0;
+    next->fault_declared[1] = faulty_1;
+    next->fault_declared[2] = faulty_2;
+    next->fault_declared[3] = faulty_3;
     return WHEEL_DRIFT_OK;
 }
 

@@ -72,6 +72,38 @@ extern "C" {
 #define WHEEL_DRIFT_NY 6
 #define WHEEL_DRIFT_NU 1
 
+/** Indices of states. */
+enum
+{
+    WHEEL_DRIFT_STATE_SPEED = 0,
+    WHEEL_DRIFT_STATE_BIAS = 1
+};
+
+/** Indices of inputs. */
+enum
+{
+    WHEEL_DRIFT_INPUT_A_FWD = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    WHEEL_DRIFT_OUTPUT_WHEEL_FL = 0,
+    WHEEL_DRIFT_OUTPUT_WHEEL_FR = 1,
+    WHEEL_DRIFT_OUTPUT_WHEEL_RL = 2,
+    WHEEL_DRIFT_OUTPUT_WHEEL_RR = 3,
+    WHEEL_DRIFT_OUTPUT_UBLOX = 4,
+    WHEEL_DRIFT_OUTPUT_QCOM = 5
+};
+
+/** Bits of `valid`. */
+#define WHEEL_DRIFT_VALID_WHEEL_FL UINT32_C(0x1)
+#define WHEEL_DRIFT_VALID_WHEEL_FR UINT32_C(0x2)
+#define WHEEL_DRIFT_VALID_WHEEL_RL UINT32_C(0x4)
+#define WHEEL_DRIFT_VALID_WHEEL_RR UINT32_C(0x8)
+#define WHEEL_DRIFT_VALID_UBLOX UINT32_C(0x10)
+#define WHEEL_DRIFT_VALID_QCOM UINT32_C(0x20)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define WHEEL_DRIFT_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

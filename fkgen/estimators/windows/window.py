@@ -173,7 +173,7 @@ def verdict_on(
     builder: PhaseBuilder, design: Design, group: int, tag: str, excess: Callable[[], ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
     """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
-    names = f"accepted{tag}", f"rejected{tag}"
+    names = f"accepted{tag}", f"faulty{tag}"
     accepted, rejected = (builder.local(name, 1) for name in names)
     builder.assign({names[0]: design.symbols["collecting"][group], names[1]: ca.SX(0)})
     if design.spec.filter.options.test:

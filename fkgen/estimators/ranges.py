@@ -1,0 +1,194 @@
+"""Ranges that the spec states of signals: guards in front of a filter, and around its estimates.
+
+A row of y outside of its range counts as missing and is shown as rejected; a state is clamped into
+its range, its variance to at most the square of the range's width. A covariance is scaled by a
+diagonal matrix from both sides then, so it stays one, and correlations stay what they are. Inside
+its ranges a filter computes what it computes without them, bit by bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from fkgen.estimators.gaussian.gate import HALF
+from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.index import At, Target, name_of, packed
+from fkgen.symbolic.interface import OUTSIDE, Outcome, Port, Role, Status, triangle
+from fkgen.symbolic.linalg import column
+from fkgen.symbolic.ports import shown
+from fkgen.symbolic.recursion import (
+    CONFINED,
+    Loop,
+    OfMatrices,
+    Part,
+    Phase,
+    Recursion,
+    Triangle,
+    Variable,
+)
+
+#: Numbers of an array above which they are copied, or scaled, in a loop.
+LOOPED = 210
+
+_REJECTED = "rejected"
+
+
+def confined(recursion: Recursion) -> Recursion:
+    """The same filter within the ranges of its spec; itself if there are none."""
+    model, ports, outcomes = recursion.spec.model, recursion.ports, recursion.outcomes
+    gated = any(port.name == _REJECTED for port in ports)
+    rows = tuple(i for i, row in enumerate(model.outputs) if row.range is not None)
+    if rows and not gated:
+        meaning = "rows of y[k] that were outside of their range"
+        ports += (shown(_REJECTED, (model.ny,), meaning, flags=True),)
+        outcomes += (Outcome(Status.FAULT_DECLARED, _REJECTED, HALF),)
+    estimates = {port.name: port for port in ports if model.ranged and _is_estimate(port)}
+    driven = any(each.range is not None for each in model.inputs)
+    if recursion.ranged or not (rows or estimates or driven):
+        return recursion
+    flag: dict[Target, ca.SX] = {}
+    if rows and not gated:
+        flag[_REJECTED] = ca.SX.sym(_REJECTED, model.ny)
+
+    def kept(phase: Phase, rows: tuple[int, ...] = ()) -> Phase:
+        found = _Confinement(recursion, phase, estimates).confined(rows)
+        return replace(found, symbols={**found.symbols, **flag})
+
+    start, closing = recursion.start, recursion.closing
+    return replace(
+        recursion,
+        ports=ports,
+        outcomes=outcomes,
+        ranged=True,
+        update=kept(recursion.update, rows),
+        predict=kept(recursion.predict),
+        closing=closing and kept(closing),
+        start=start and replace(start, symbols={**start.symbols, **flag}),
+    )
+
+
+def _is_estimate(port: Port) -> bool:
+    """Whether a port is a state, or the covariance of one."""
+    return port.unit in {"x", "xx"} and (bool(port.prior) or port.role is Role.OUTPUT)
+
+
+class _Confinement:
+    """One phase: what it wrote to ports goes to locals, and from there to ports, if it may."""
+
+    def __init__(self, recursion: Recursion, phase: Phase, estimates: Mapping[str, Port]) -> None:
+        self.model, self.phase, self.estimates = recursion.spec.model, phase, estimates
+        self.local: dict[str, str] = {}  # of ports that were written so far
+
+    def confined(self, rows: Sequence[int]) -> Phase:
+        """The phase; of an update with the ``rows`` of y that have a range."""
+        wanted = {*self.estimates, *([_REJECTED] if rows else [])}
+        blocks = tuple(self._renamed(block, wanted) for block in self.phase.blocks)
+        symbols = dict(self.phase.symbols)
+        symbols |= {self._read(place): symbol for place, symbol in symbols.items()}
+        raw = {local: symbols[local] for local in self.local.values()}
+        written = {name: ca.SX.sym(name, raw[local].numel()) for name, local in self.local.items()}
+        if rows:
+            raw[OUTSIDE] = symbols[OUTSIDE] = ca.SX.sym(OUTSIDE, self.model.ny)
+            written[_REJECTED] = ca.SX.sym(_REJECTED, self.model.ny)
+        builder = PhaseBuilder(raw | written)
+        with builder.titled(CONFINED):
+            for name in self.local.keys() & self.estimates.keys():
+                self._confine(builder, self.estimates[name])
+            if rows:
+                self._reject(builder, rows)
+        tail = builder.phase()
+        variables = (Variable(local, raw[local].numel()) for local in self.local.values())
+        symbols |= {place: s for place, s in tail.symbols.items() if name_of(place) not in written}
+        return Phase(
+            (*blocks, *tail.blocks),
+            (*self.phase.variables, *variables, *tail.variables),
+            symbols,
+            self.phase.unless,
+        )
+
+    def _read(self, place: Target) -> Target:
+        """Where to read what stood at a place."""
+        local = self.local.get(name_of(place))
+        if local is None:
+            return place
+        return replace(place, name=local) if isinstance(place, At) else local
+
+    def _renamed(self, part: Part, wanted: Collection[str]) -> Part:
+        """A part that writes to locals; what reads a port after that reads its local."""
+        if isinstance(part, OfMatrices):  # which write to locals
+            names = ("source",) if isinstance(part, Triangle) else ("left", "right", "start")
+            places: Any = {name: getattr(part, name) for name in names}
+            places = {name: self._read(place) for name, place in places.items() if place}
+            return replace(part, **places)
+        reads = tuple(map(self._read, part.reads))
+        if isinstance(part, Loop):
+            body = tuple(self._renamed(each, wanted) for each in part.body)
+            return replace(part, reads=reads, body=body)
+        for name in map(name_of, part.assign):
+            if name in wanted:
+                self.local.setdefault(name, f"raw_{name}")
+        return replace(part, reads=reads, assign={self._read(k): v for k, v in part.assign.items()})
+
+    def _confine(self, builder: PhaseBuilder, port: Port) -> None:
+        """One estimate, or one for each mode, or its covariance."""
+        local = self.local[port.name]
+        raw, size = builder.symbol(local), port.shape[-1]
+        if port.symmetric:
+            for begin in range(0, port.size, len(triangle(size))):
+                self._scale(builder, local, begin)
+            self._copy(builder, port)
+            return
+        values = ca.vertsplit(raw)
+        for begin in range(0, port.size, size):
+            for each in self.model.ranged:
+                at = begin + each.at
+                values[at] = ca.fmin(ca.fmax(values[at], each.low), each.high)
+        builder.assign({port.name: column(values)})
+
+    def _scale(self, builder: PhaseBuilder, local: str, begin: int) -> None:
+        """Rows and columns of variances that are too large."""
+        n = self.model.ne
+        for each in self.model.ranged:
+            row, most = each.error, (each.high - each.low) ** 2
+            own = begin + packed(row, row)
+            excess = builder.at(local, own) - most
+            scale = builder.local(f"scale_{local}_{own}", 1, initial=1.0)
+            with builder.if_positive(excess):
+                builder.assign({scale.name(): ca.sqrt(most / builder.at(local, own))})
+            if len(triangle(n)) <= LOOPED:
+                places = [begin + packed(max(row, j), min(row, j)) for j in range(n) if j != row]
+                with builder.if_positive(excess):
+                    builder.assign({At(local, k): builder.at(local, k) * scale for k in places})
+            else:
+                with builder.if_positive(excess), builder.loop("j", 0, row) as j:
+                    self._times(builder, At(local, begin + packed(row, j)), scale)
+                with builder.if_positive(excess), builder.loop("j", row + 1, n) as j:
+                    self._times(builder, At(local, begin + packed(j, row)), scale)
+            with builder.if_positive(excess):
+                builder.assign({At(local, own): ca.SX(most)})
+
+    @staticmethod
+    def _times(builder: PhaseBuilder, place: At, scale: ca.SX) -> None:
+        builder.assign({place: builder.read(place) * scale})
+
+    def _copy(self, builder: PhaseBuilder, port: Port) -> None:
+        """A covariance to its port."""
+        local = self.local[port.name]
+        if port.size <= LOOPED:
+            builder.assign({port.name: builder.symbol(local)})
+            return
+        with builder.loop("i", 0, port.size) as i:
+            builder.assign({At(port.name, i): builder.at(local, i)})
+
+    def _reject(self, builder: PhaseBuilder, rows: Sequence[int]) -> None:
+        """Rows outside of their range beside those that a gate has left out."""
+        outside = builder.symbol(OUTSIDE)
+        shown = [outside[i] if i in rows else ca.SX(0) for i in range(self.model.ny)]
+        if _REJECTED in self.local:
+            gate = builder.symbol(self.local[_REJECTED])
+            shown = [ca.fmax(gate[i], each) for i, each in enumerate(shown)]
+        builder.assign({_REJECTED: column(shown)})
