@@ -61,6 +61,28 @@ extern "C" {
 #define ACTUATOR_RATE_NY 1
 #define ACTUATOR_RATE_NU 1
 
+/** Indices of states. */
+enum
+{
+    ACTUATOR_RATE_STATE_CURRENT = 0,
+    ACTUATOR_RATE_STATE_SPEED = 1
+};
+
+/** Indices of inputs. */
+enum
+{
+    ACTUATOR_RATE_INPUT_VOLTAGE = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    ACTUATOR_RATE_OUTPUT_SPEED_MEASURED = 0
+};
+
+/** Bits of `valid`. */
+#define ACTUATOR_RATE_VALID_SPEED_MEASURED UINT32_C(0x1)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define ACTUATOR_RATE_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -68,6 +68,30 @@ extern "C" {
 #define LATE_GPS_NY 4
 #define LATE_GPS_NU 0
 
+/** Indices of states. */
+enum
+{
+    LATE_GPS_STATE_EAST = 0,
+    LATE_GPS_STATE_NORTH = 1,
+    LATE_GPS_STATE_V_EAST = 2,
+    LATE_GPS_STATE_V_NORTH = 3
+};
+
+/** Indices of measurements. */
+enum
+{
+    LATE_GPS_OUTPUT_GPS_EAST = 0,
+    LATE_GPS_OUTPUT_GPS_NORTH = 1,
+    LATE_GPS_OUTPUT_GPS_V_EAST = 2,
+    LATE_GPS_OUTPUT_GPS_V_NORTH = 3
+};
+
+/** Bits of `valid`. */
+#define LATE_GPS_VALID_GPS_EAST UINT32_C(0x1)
+#define LATE_GPS_VALID_GPS_NORTH UINT32_C(0x2)
+#define LATE_GPS_VALID_GPS_V_EAST UINT32_C(0x4)
+#define LATE_GPS_VALID_GPS_V_NORTH UINT32_C(0x8)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define LATE_GPS_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -49,6 +49,21 @@ extern "C" {
 #define NILE_NY 1
 #define NILE_NU 0
 
+/** Indices of states. */
+enum
+{
+    NILE_STATE_LEVEL = 0
+};
+
+/** Indices of measurements. */
+enum
+{
+    NILE_OUTPUT_FLOW = 0
+};
+
+/** Bits of `valid`. */
+#define NILE_VALID_FLOW UINT32_C(0x1)
+
 /** Position of entry (i, j) of a symmetric matrix in its lower triangle, stored by rows. */
 #define NILE_P(i, j) \
     (((i) >= (j)) ? ((((i) * ((i) + 1)) / 2) + (j)) : ((((j) * ((j) + 1)) / 2) + (i)))

@@ -240,6 +240,23 @@ def _update(
         kept=kept,
     )
     demand_finite(builder, posterior.state)
+    assign = _filtered(plant, delays, symbols, (found, posterior))
+    before = symbols["predicted_covariance"]
+    _lagged(spec, plant).corrected(builder, (plant, actuation), found, before)
+    if passage is not None:
+        assign |= passage.results(found, symbols)
+        kept = tuple(passage.counted(row) for row in range(plant.ny))
+    with builder.titled("results of the update"):
+        assign |= delays.counted(builder, kept)
+        builder.assign({name: value for name, value in assign.items() if value.numel()})
+    return builder.phase()
+
+
+def _filtered(
+    plant: Plant, delays: Delays, symbols: dict[str, ca.SX], known: tuple[Conditioned, Posterior]
+) -> dict[str, ca.SX]:
+    """What ports are after an update."""
+    found, posterior = known
     of_both = by_rows(posterior.cross_covariance)
     deviation = posterior.deviation, posterior.deviation_covariance, of_both
     assign = {
@@ -254,15 +271,21 @@ def _update(
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: delays.n, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
-    before = symbols["predicted_covariance"]
-    _lagged(spec, plant).corrected(builder, (plant, actuation), found, before)
-    if passage is not None:
-        assign |= passage.results(found, symbols)
-        kept = tuple(passage.counted(row) for row in range(plant.ny))
-    with builder.titled("results of the update"):
-        assign |= delays.counted(builder, kept)
-        builder.assign({name: value for name, value in assign.items() if value.numel()})
-    return builder.phase()
+    return assign
+
+
+def _posterior(plant: Plant, delays: Delays, symbols: dict[str, ca.SX]) -> Posterior:
+    """What an update left known, of x and of what y told of beside it."""
+    posterior = Posterior(*delays.joint(symbols, FILTERED))
+    deviation, own, cross = _deviation_ports(plant)
+    if deviation not in symbols:
+        return posterior
+    return replace(
+        posterior,
+        deviation=symbols[deviation],
+        deviation_covariance=symbols[own],
+        cross_covariance=from_rows(symbols[cross], symbols[deviation].numel()),
+    )
 
 
 def prediction(
@@ -290,19 +313,10 @@ def prediction(
     if delays.size:
         (plant,) = seen_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
     plant = delays.moving(plant, symbols)
-    posterior, r = Posterior(*delays.joint(symbols, FILTERED)), 0
-    deviation, own, cross = _deviation_ports(plant)
-    if deviation in symbols:
-        r = symbols[deviation].numel()
-        posterior = replace(
-            posterior,
-            deviation=symbols[deviation],
-            deviation_covariance=symbols[own],
-            cross_covariance=from_rows(symbols[cross], r),
-        )
+    posterior = _posterior(plant, delays, symbols)
     assign = {}
     if order:
-        order = (*order, *range(plant.ne, plant.ne + r))
+        order = (*order, *range(plant.ne, plant.ne + posterior.deviation.numel()))
         held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
         state, held, through = propagate_factors(plant, actuation, posterior, held)
         with builder.titled("factors of the next covariance"):
@@ -317,7 +331,7 @@ def prediction(
     if with_gain:
         n, whole = delays.n, plant.ne
         gain = through[:n, :n] @ from_rows(symbols["filtered_gain"], n)
-        if r:
+        if posterior.deviation.numel():
             gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
         assign["gain"] = by_rows(gain)
     _lagged(spec, plant).moved(builder, posterior, through)
