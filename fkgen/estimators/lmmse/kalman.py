@@ -331,7 +331,7 @@ def prediction(
     if with_gain:
         n, whole = delays.n, plant.ne
         gain = through[:n, :n] @ from_rows(symbols["filtered_gain"], n)
-        if posterior.deviation.numel():
+        if r := posterior.deviation.numel():
             gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
         assign["gain"] = by_rows(gain)
     _lagged(spec, plant).moved(builder, posterior, through)
