@@ -15,7 +15,8 @@ from fkgen.study.fitting.search import NEAR, Maximum, Point
 
 Array = NDArray[np.float64]
 
-_FARTHEST = 60.0  # coordinates from the estimate, beyond which an interval has no end
+#: Coordinates from the estimate, and times the first step, beyond which an interval has no end.
+_FARTHEST, _MANY = 60.0, 1e9
 _TOLERANCE = 1e-5  # of the distance of an end from the estimate
 _BEYOND = 1.3  # times the interval of 95 % are shown
 
@@ -115,11 +116,14 @@ class Curve:
                 known[t] = min(self.maximum.point.value - self.at(value_of(t)) - allowed, 1e300)
             return known[t]
 
-        near, far, most = place, place + step, _FARTHEST * max(1.0, abs(step))
+        logarithmic = bool(axis.bounds) and self.j not in surface.held
+        distance, most = abs(step), _FARTHEST if logarithmic else _MANY * abs(step)
+        near, far = place, place + step
         while over(far) < 0.0:
-            if value_of(far) == bound or abs(far - place) >= most:
+            if value_of(far) == bound or distance >= most:
                 return bound
-            near, far = far, place + math.copysign(min(3.0 * abs(far - place), most), step)
+            distance = min(3.0 * distance, most)
+            near, far = far, place + math.copysign(distance, step)
         end = brentq(over, near, far, xtol=_TOLERANCE * abs(far - place), rtol=1e-12)
         return float(value_of(end))
 
