@@ -140,12 +140,12 @@ class Curve:
         turn = -1.0 if math.isinf(axis.low) and math.isfinite(axis.high) else 1.0
         return z, partial(_value, axis.value), sign * turn * reach
 
-    def profile(self, points: int) -> Profile:
-        """Values around the interval of 95 %, from the estimate outwards."""
+    def profile(self, points: int, around: tuple[float, float]) -> Profile:
+        """Values around an interval, from the estimate outwards."""
         count = whole("points", points, least=3, expected="a whole number of at least 3")
         axis = self.maximum.surface.axes[self.j]
         estimate = float(self.maximum.theta[self.j])
-        low, high = self._shown(axis.low, axis.high, estimate)
+        low, high = _shown((axis.low, axis.high), estimate, around)
         left = max(0, round((count - 1) * (estimate - low) / (high - low))) if low < estimate else 0
         left = min(left, count - 2) if high > estimate else count - 1
         left = max(left, 1) if low < estimate else left
@@ -159,17 +159,19 @@ class Curve:
         values = np.array(sorted(found))
         return Profile(axis.name, values, np.array([found[value] for value in values.tolist()]))
 
-    def _shown(self, low: float, high: float, estimate: float) -> tuple[float, float]:
-        """The interval of 95 % and some more, within the bounds."""
-        ends = self.interval(0.95)
-        far = [abs(each - estimate) for each in ends if math.isfinite(each) and each != estimate]
-        reach = max(far, default=max(1.0, abs(estimate)))
-        found = []
-        for end, sign, bound in ((ends[0], -1.0, low), (ends[1], 1.0, high)):
-            distance = abs(end - estimate) if math.isfinite(end) else reach
-            wanted = estimate + sign * _BEYOND * distance
-            found.append(max(wanted, bound) if sign < 0.0 else min(wanted, bound))
-        return found[0], found[1]
+
+def _shown(
+    bounds: tuple[float, float], estimate: float, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """An interval and some more, within the bounds."""
+    far = [abs(each - estimate) for each in ends if math.isfinite(each) and each != estimate]
+    reach = max(far, default=max(1.0, abs(estimate)))
+    found = []
+    for end, sign, bound in zip(ends, (-1.0, 1.0), bounds, strict=True):
+        distance = abs(end - estimate) if math.isfinite(end) else reach
+        wanted = estimate + sign * _BEYOND * distance
+        found.append(max(wanted, bound) if sign < 0.0 else min(wanted, bound))
+    return found[0], found[1]
 
 
 def _value(of: Callable[[Array], Array], z: float) -> float:
