@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
@@ -56,7 +57,10 @@ def fitted(
         say("warning", table.warnings)
     u = [table.u for table in tables] if spec.model.nu else None
     y, params = [table.y for table in tables], [table.params for table in tables]
-    found = fit(spec, y, u, params, names, progress=sys.stderr.isatty())
+    shown = sys.stderr.isatty()
+    found = fit(spec, y, u, params, names, progress=shown)
+    with progressing("intervals", len(found.names), shown=shown) as advance:
+        found.interval(advance=advance)
     if output is not None:
         write_whole(output, renewed(spec, found).encode("utf-8"), force=force)
         say("note", [f"{output}: written"])

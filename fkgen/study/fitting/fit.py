@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.console import progressing
+from fkgen.console import Advance, progressing
 from fkgen.errors import DataError, SpecError
 from fkgen.pipeline import build
 from fkgen.problem import Spec
@@ -69,8 +69,11 @@ class Fit:
     initial_log_likelihood: float = field(repr=False)
     maximum: Maximum = field(repr=False)
     inflation: Array = field(repr=False)  # (k,): variances over those of the inverse information
+    _known: dict[tuple[str, float], tuple[float, float]] = field(default_factory=dict, repr=False)
 
-    def interval(self, level: float = _LEVEL) -> dict[str, tuple[float, float]]:
+    def interval(
+        self, level: float = _LEVEL, *, advance: Advance | None = None
+    ) -> dict[str, tuple[float, float]]:
         """Intervals of a confidence, by the profile likelihood.
 
         The deviance is divided by the variance that ``covariance`` has for a parameter over that of
@@ -79,6 +82,8 @@ class Fit:
         Parameters
         ----------
         level : float
+        advance : callable, optional
+            Called with 1 after every parameter.
 
         Returns
         -------
@@ -86,7 +91,17 @@ class Fit:
             They end at the bounds of a parameter, or at infinity, where it cannot be excluded.
         """
         confidence = probability("level", level)
-        return {name: self._curve(name).interval(confidence) for name in self.names}
+        found = {}
+        for name in self.names:
+            found[name] = self._interval(name, confidence)
+            if advance is not None:
+                advance(1)
+        return found
+
+    def _interval(self, name: str, level: float) -> tuple[float, float]:
+        if (name, level) not in self._known:
+            self._known[name, level] = self._curve(name).interval(level)
+        return self._known[name, level]
 
     def profile(self, name: str, points: int = 21) -> Profile:
         """The largest log-likelihood for values of one parameter, over all the others.
@@ -99,7 +114,7 @@ class Fit:
         """
         if name not in self.names:
             raise DataError("name", given=repr(name), expected=choice(str(name), self.names))
-        return self._curve(name).profile(points)
+        return self._curve(name).profile(points, self._interval(name, _LEVEL))
 
     def _curve(self, name: str) -> Curve:
         j = self.names.index(name)

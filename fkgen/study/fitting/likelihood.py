@@ -39,12 +39,15 @@ class Records:
         Those that are not estimated.
     start : Snapshot or mapping
         Where all of them begin, or where each does.
+    numbers : tuple of int
+        Which they are among those that were given.
     """
 
     y: Array
     u: Array
     params: Mapping[str, Array]
     start: Start
+    numbers: tuple[int, ...] = (0,)
 
     def first(self, samples: int) -> Records:
         """The same records, cut after so many samples."""
@@ -58,7 +61,7 @@ class Records:
         start = self.start
         if isinstance(start, Mapping):
             start = {key: _repeated(key, value, times) for key, value in start.items()}
-        return Records(y, u, params, start)
+        return replace(self, y=y, u=u, params=params, start=start)
 
 
 def _repeated(key: str, value: ArrayLike, times: int) -> ArrayLike:
@@ -124,19 +127,16 @@ class Likelihood:
     def refusal(self, theta: Sequence[float]) -> str:
         """Why the likelihood is not finite there, and at which sample; empty if it is."""
         try:
-            for number, some in enumerate(self.records):
+            for some in self.records:
                 run = self._run(some, np.array([theta], float))
                 if run.refused.any():
                     m, k = map(int, np.argwhere(run.refused)[0])
-                    which = f" of record {m + number}" if self._several else ""
+                    several = sum(len(each.y) for each in self.records) > 1
+                    which = f" of record {some.numbers[m]}" if several else ""
                     return f"sample {k}{which}: {Status(int(run.status[m, k])).meaning}"
         except StepRefused as refused:
             return str(refused)
         return ""
-
-    @property
-    def _several(self) -> bool:
-        return sum(len(some.y) for some in self.records) > 1
 
     def _blocks(self, values: Array) -> Iterator[tuple[slice, Array | None]]:
         """Of some of the values, and some of the records: (V, R, T) terms, or None if refused."""
@@ -201,7 +201,7 @@ def records_of(
         own: Start = start
         if several and isinstance(start, Mapping):
             own = {key: _chosen(key, value, alike, len(taken)) for key, value in start.items()}
-        found.append(Records(y_of, u_of, joined, own))
+        found.append(Records(y_of, u_of, joined, own, tuple(alike)))
     return found
 
 

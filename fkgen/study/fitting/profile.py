@@ -15,7 +15,8 @@ from fkgen.study.fitting.search import NEAR, Maximum, Point
 
 Array = NDArray[np.float64]
 
-_FARTHEST = 60.0  # coordinates from the estimate, beyond which an interval has no end
+#: Coordinates from the estimate, and times the first step, beyond which an interval has no end.
+_FARTHEST, _MANY = 60.0, 1e9
 _TOLERANCE = 1e-5  # of the distance of an end from the estimate
 _BEYOND = 1.3  # times the interval of 95 % are shown
 
@@ -115,11 +116,14 @@ class Curve:
                 known[t] = min(self.maximum.point.value - self.at(value_of(t)) - allowed, 1e300)
             return known[t]
 
-        near, far, most = place, place + step, _FARTHEST * max(1.0, abs(step))
+        logarithmic = bool(axis.bounds) and self.j not in surface.held
+        distance, most = abs(step), _FARTHEST if logarithmic else _MANY * abs(step)
+        near, far = place, place + step
         while over(far) < 0.0:
-            if value_of(far) == bound or abs(far - place) >= most:
+            if value_of(far) == bound or distance >= most:
                 return bound
-            near, far = far, place + math.copysign(min(3.0 * abs(far - place), most), step)
+            distance = min(3.0 * distance, most)
+            near, far = far, place + math.copysign(distance, step)
         end = brentq(over, near, far, xtol=_TOLERANCE * abs(far - place), rtol=1e-12)
         return float(value_of(end))
 
@@ -136,12 +140,12 @@ class Curve:
         turn = -1.0 if math.isinf(axis.low) and math.isfinite(axis.high) else 1.0
         return z, partial(_value, axis.value), sign * turn * reach
 
-    def profile(self, points: int) -> Profile:
-        """Values around the interval of 95 %, from the estimate outwards."""
+    def profile(self, points: int, around: tuple[float, float]) -> Profile:
+        """Values around an interval, from the estimate outwards."""
         count = whole("points", points, least=3, expected="a whole number of at least 3")
         axis = self.maximum.surface.axes[self.j]
         estimate = float(self.maximum.theta[self.j])
-        low, high = self._shown(axis.low, axis.high, estimate)
+        low, high = _shown((axis.low, axis.high), estimate, around)
         left = max(0, round((count - 1) * (estimate - low) / (high - low))) if low < estimate else 0
         left = min(left, count - 2) if high > estimate else count - 1
         left = max(left, 1) if low < estimate else left
@@ -155,17 +159,19 @@ class Curve:
         values = np.array(sorted(found))
         return Profile(axis.name, values, np.array([found[value] for value in values.tolist()]))
 
-    def _shown(self, low: float, high: float, estimate: float) -> tuple[float, float]:
-        """The interval of 95 % and some more, within the bounds."""
-        ends = self.interval(0.95)
-        far = [abs(each - estimate) for each in ends if math.isfinite(each) and each != estimate]
-        reach = max(far, default=max(1.0, abs(estimate)))
-        found = []
-        for end, sign, bound in ((ends[0], -1.0, low), (ends[1], 1.0, high)):
-            distance = abs(end - estimate) if math.isfinite(end) else reach
-            wanted = estimate + sign * _BEYOND * distance
-            found.append(max(wanted, bound) if sign < 0.0 else min(wanted, bound))
-        return found[0], found[1]
+
+def _shown(
+    bounds: tuple[float, float], estimate: float, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """An interval and some more, within the bounds."""
+    far = [abs(each - estimate) for each in ends if math.isfinite(each) and each != estimate]
+    reach = max(far, default=max(1.0, abs(estimate)))
+    found = []
+    for end, sign, bound in zip(ends, (-1.0, 1.0), bounds, strict=True):
+        distance = abs(end - estimate) if math.isfinite(end) else reach
+        wanted = estimate + sign * _BEYOND * distance
+        found.append(max(wanted, bound) if sign < 0.0 else min(wanted, bound))
+    return found[0], found[1]
 
 
 def _value(of: Callable[[Array], Array], z: float) -> float:

@@ -257,6 +257,12 @@ def test_a_bound_is_the_estimate_and_the_interval_begins_there(level):
     assert 2.0 * (fit.log_likelihood - curve.at(high)) == pytest.approx(3.8415, rel=1e-3)
     assert np.isfinite(fit.standard_errors["r"])
     assert np.isnan(fit.standard_errors["a"])
+    large = fkgen.fit(fkgen.Spec.from_dict(LEVEL), 1e4 * still, estimate=("a", "r"))
+    assert large.estimates["a"] == 0.0
+    high = large.interval()["a"][1]
+    assert high > 1e4
+    fallen = 2.0 * (large.log_likelihood - large._curve("a").at(high))
+    assert fallen == pytest.approx(3.8415, rel=1e-3)
     narrow = changed(LEVEL, parameters__r={"default": 2.0, "min": 1.5, "max": 4.0})
     fit = fkgen.fit(narrow, still, estimate=("a", "r"))
     assert fit.estimates["r"] == 1.5
