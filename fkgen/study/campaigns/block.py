@@ -23,7 +23,7 @@ FALSE_ALARM = 0.01
 #: Trials that the compiled filter takes side by side at most.
 _LANES = 8
 #: Samples of a block, and numbers of covariances in it: what a block takes in memory.
-_SAMPLES, _ROOM = 100_000, 1_000_000
+_SAMPLES, _ROOM = 50_000, 1_000_000
 
 
 class Stopped(Exception):

@@ -29,7 +29,7 @@ from fkgen.trials.simulation import Request, counted, drawing_of
 _FEWEST, _GROWTH = 100, 1.25
 #: Blocks that are computed in one go at most, here and by a worker of a cluster: progress is to be
 #: seen, little is to be lost, and a task is to take longer than to send it.
-_RANGE, _TASK = 16, 64
+_RANGE, _TASK = 16, 128
 
 
 def montecarlo(

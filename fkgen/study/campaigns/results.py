@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 
 CONSISTENT, OPTIMISTIC, CONSERVATIVE = "consistent", "optimistic", "conservative"
 #: Probability that a filter which is right is called something else, for all tests together.
-LEVEL = 0.003
+LEVEL = 0.002
+#: Statistics that sum up all others, and share half of that level.
+_FIRST = ("nees", "nis")
 #: Events, or trials with one, from which on a count is taken to be normal.
 _ENOUGH = 25.0
 
@@ -188,18 +190,24 @@ def _calibration(sums: Sums) -> Test:
 
 
 def verdicts_of(tests: Mapping[str, Test], trials: int) -> dict[str, str]:
-    """A verdict for each statistic that can be tested; `LEVEL` is that of all of them (Bonferroni).
+    """A verdict for each statistic that can be tested; `LEVEL` is that of all of them.
 
-    Student's distribution, with one degree of freedom less than there are trials.
+    Bonferroni, half of it for `_FIRST` and half for the others; Student's distribution, with one
+    degree of freedom less than there are trials.
     """
     from scipy.special import stdtrit  # noqa: PLC0415 - scipy takes long to import
 
     if trials < 2:
         return {}
-    scores = {key: _scores(test) for key, test in tests.items()}
-    count = sum(int(np.isfinite(t.value).sum()) for t in tests.values())
-    limit = float(stdtrit(trials - 1, 1.0 - LEVEL / (2.0 * max(1, count))))
-    return {key: _verdict(each, limit) for key, each in scores.items() if each.size}
+    scores = {key: each for key, test in tests.items() if (each := _scores(test)).size}
+    counts = {True: 0, False: 0}
+    for key, each in scores.items():
+        counts[key in _FIRST] += each.size
+    limits = {
+        first: float(stdtrit(trials - 1, 1.0 - 0.25 * LEVEL / max(1, count)))
+        for first, count in counts.items()
+    }
+    return {key: _verdict(each, limits[key in _FIRST]) for key, each in scores.items()}
 
 
 def _scores(test: Test) -> Array:

@@ -41,7 +41,7 @@ class Sums:
     shapes : mapping of str to tuple
         Ratios by name.
     parts : (P, K) ndarray
-        The exact sums: five for each number of each ratio.
+        The exact sums: one of all numbers of all ratios, five times.
     """
 
     trials: int
@@ -60,9 +60,7 @@ class Sums:
         if not np.abs(sums).max(initial=0.0) < _LARGEST:
             expected = "errors that can be squared: plant or filter are not stable"
             raise DataError("steps", given="errors whose squares overflow", expected=expected)
-        widths = np.cumsum([math.prod(shape) for shape in shapes.values()])[:-1]
-        parts = [part.ravel() for part in np.split(sums, widths, axis=1)]
-        return cls(trials, shapes, np.concatenate(parts)[np.newaxis])
+        return cls(trials, shapes, sums.reshape(1, -1))
 
     def ratio(self, name: str) -> Statistic:
         """Sum of a over sum of b, with the standard error of a ratio of means (delta method).
@@ -71,28 +69,25 @@ class Sums:
         where b is 0 throughout, and the error of a single trial.
         """
         shape = self.shapes[name]
-        columns = self._columns(name).T.tolist()
-        exact = [sum(map(Fraction, parts), Fraction()) for parts in columns]
-        size = math.prod(shape)
-        sums = [exact[i * size : (i + 1) * size] for i in range(_SUMS)]
-        found = [_ratio(each, self.trials) for each in zip(*sums, strict=True)]
-        value, error = np.array(found, float).reshape(size, 2).T
+        exact = [
+            [sum(map(Fraction, parts), Fraction()) for parts in sums]
+            for sums in self._columns(name).T.tolist()
+        ]
+        value, error = np.array([_ratio(each, self.trials) for each in exact]).reshape(-1, 2).T
         return Statistic(value.reshape(shape)[()], error.reshape(shape)[()])
 
     def total(self, name: str) -> Array:
         """Sum of b."""
-        size = math.prod(self.shapes[name])
-        found = [math.fsum(parts) for parts in self._columns(name)[:, size : 2 * size].T.tolist()]
+        found = [math.fsum(parts) for parts in self._columns(name)[:, 1].T.tolist()]
         return np.array(found).reshape(self.shapes[name])
 
     def _columns(self, name: str) -> Array:
-        widths = {each: _SUMS * math.prod(shape) for each, shape in self.shapes.items()}
-        start = 0
-        for each, width in widths.items():
-            if each == name:
-                return self.parts[:, start : start + width]
-            start += width
-        raise KeyError(name)
+        """The parts of five sums of each number, (P, 5, size)."""
+        widths = [math.prod(shape) for shape in self.shapes.values()]
+        place = list(self.shapes).index(name)
+        start = sum(widths[:place])
+        every = self.parts.reshape(len(self.parts), _SUMS, -1)
+        return every[:, :, start : start + widths[place]]
 
 
 def _ratio(sums: Sequence[Fraction], trials: int) -> tuple[float, float]:
