@@ -42,6 +42,7 @@ def main() -> int:
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for found in track(pool.map(one, jobs), "examples", total=len(jobs)):
             for row, holds in found:
+                print(*row, file=sys.stderr, flush=True)
                 rows.append(row)
                 wrong += not holds
     lines = ["| " + " | ".join(row) + " |" for row in (HEAD, ("---",) * len(HEAD), *rows)]

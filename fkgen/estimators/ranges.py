@@ -96,7 +96,7 @@ class _Confinement:
             written[_REJECTED] = ca.SX.sym(_REJECTED, self.model.ny)
         builder = PhaseBuilder(raw | written)
         with builder.titled(CONFINED):
-            for name in self.local.keys() & self.estimates.keys():
+            for name in filter(self.estimates.__contains__, self.local):
                 self._confine(builder, self.estimates[name])
             if rows:
                 self._reject(builder, rows)

@@ -6,6 +6,7 @@ import importlib.metadata
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ _PACKAGES = {
     "avr": "apt install gcc-avr avr-libc",
 }
 
-_WAIT = 300
+_WAIT = 600
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +48,25 @@ class Toolchain:
             for of in ("LOCAL", "GLOBAL")
         }
         try:
-            done = subprocess.run(
+            started = subprocess.Popen(
                 command,
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 text=True,
-                timeout=_WAIT,
-                check=False,
                 cwd=folder,
                 env=environment,
+                start_new_session=True,
             )
-        except (OSError, subprocess.TimeoutExpired) as error:
+        except OSError as error:
             raise CompilerError(f"{self.name} cannot be run: {error}") from None
-        if done.returncode != 0:
-            lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        try:
+            _, complaints = started.communicate(timeout=_WAIT)
+        except subprocess.TimeoutExpired:
+            os.killpg(started.pid, signal.SIGKILL)  # compilers start others
+            started.wait()
+            raise CompilerError(f"{self.name} took more than {_WAIT} s: stopped") from None
+        if started.returncode != 0:
+            lines = complaints.strip().splitlines() or [f"exit status {started.returncode}"]
             first = next(
                 (line for line in lines if "error" in line or "undefined" in line), lines[0]
             )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -197,6 +200,25 @@ def test_modes_stay_in_range_and_inside_nothing_changes():
         P = found[1.0][f"{of}covariance"][1:]
         assert np.diagonal(P, axis1=-2, axis2=-1).max() <= 4.0
         assert np.linalg.eigvalsh(P).min() > 0.0
+
+
+def test_the_same_spec_gives_the_same_bytes():
+    text = (
+        "import fkgen, sys, ast; s = fkgen.Spec.from_dict(ast.literal_eval(sys.argv[1]));"
+        "t = fkgen.generate(fkgen.validate(s)).files['ranged.c']; print(t)"
+    )
+    given = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in table()["model"].items()}
+    spec = repr({**table(), "model": given})
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", text, spec],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True,
+            capture_output=True,
+        ).stdout
+        for seed in ("1", "2", "3")
+    }
+    assert len(found) == 1
 
 
 @pytest.mark.parametrize(
