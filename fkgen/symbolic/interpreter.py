@@ -47,6 +47,9 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_SQ: lambda a: a * a,
     ca.OP_TWICE: lambda a: a + a,
     ca.OP_INV: lambda a: 1.0 / a,
+    ca.OP_LT: lambda a, b: np.less(a, b) * 1.0,
+    ca.OP_LE: lambda a, b: np.less_equal(a, b) * 1.0,
+    ca.OP_IF_ELSE_ZERO: lambda condition, a: np.where(np.asarray(condition) > 0, a, 0.0),
     **{getattr(ca, f"OP_{name.upper()}"): getattr(np, name) for name in ("sqrt", "exp", "log")},
 }
 
