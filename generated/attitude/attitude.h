@@ -110,7 +110,7 @@
  *   10  m_y, uT
  *   11  m_z, uT
  *
- * Cost of one step with every row present: 27623 floating-point operations and 6 atan2 and 17 cos
+ * Cost of one step with every row present: 27659 floating-point operations and 6 atan2 and 17 cos
  * and 3 exp and 13 log and 17 sin and 23 sqrt.
  * An instance is 797 doubles, 6376 bytes; nothing else is kept. Tables of constants: 784 bytes. No
  * heap, no globals that change, no I/O, no libm.

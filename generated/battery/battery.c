@@ -1222,8 +1222,10 @@ BATTERY_INLINE battery_status_t battery_innovation_of_the_mixture(const double *
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     const double t42 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
-    const double t43 = 1.7763568394002505e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t42 > t43) ? t42 : t43;
+    const double t43 = (0.0 < t42) ? 1.0 : 0.0;
+    const double t44 = (t43 > 0.0) ? t42 : 0.0;
+    const double t45 = (1.0 - t43) * (1.7763568394002505e-15 * combined_variance[2]);
+    whitening_pivot_combined_1 = t44 + t45;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return BATTERY_NOT_POSITIVE_DEFINITE; }
@@ -1253,12 +1255,12 @@ BATTERY_INLINE battery_status_t battery_innovation_of_the_mixture(const double *
     {
         return BATTERY_RESULT_NOT_FINITE;
     }
-    const double t44 = combined_innovation[0] * combined_innovation[0];
-    const double t45 = t44 * whitening_inverse_combined_0;
-    const double t46 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t47 = t45 + (t46 * t46 * whitening_inverse_combined_1);
+    const double t46 = combined_innovation[0] * combined_innovation[0];
+    const double t47 = t46 * whitening_inverse_combined_0;
+    const double t48 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t49 = t47 + (t48 * t48 * whitening_inverse_combined_1);
     if (!battery_finite((((battery_defect(combined_variance[0]) +
-        battery_defect(combined_variance[2])) + battery_defect(t47)) +
+        battery_defect(combined_variance[2])) + battery_defect(t49)) +
         ((battery_defect(log_weight_now[0]) + battery_defect(log_weight_now[1])) +
         battery_defect(log_weight_now[2]))) + (((battery_defect(log_weight_now[3]) +
         battery_defect(log_evidence)) + battery_defect(combined_0_3_covariance[0])) +
@@ -1270,7 +1272,7 @@ BATTERY_INLINE battery_status_t battery_innovation_of_the_mixture(const double *
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
     battery_copy(combined_variance, innovation_covariance, 3);
-    nis[0] = t47;
+    nis[0] = t49;
     battery_copy(weight, mode_probability, 4);
     battery_copy(log_weight_now, log_weight, 4);
     log_likelihood[0] = log_evidence;

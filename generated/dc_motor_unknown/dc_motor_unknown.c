@@ -731,8 +731,10 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_weights_of_th
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     const double t65 = combined_variance[2] - (whitening_combined_0_1 * combined_variance[1]);
-    const double t66 = 1.7763568394002505e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t65 > t66) ? t65 : t66;
+    const double t66 = (0.0 < t65) ? 1.0 : 0.0;
+    const double t67 = (t66 > 0.0) ? t65 : 0.0;
+    const double t68 = (1.0 - t66) * (1.7763568394002505e-15 * combined_variance[2]);
+    whitening_pivot_combined_1 = t67 + t68;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }

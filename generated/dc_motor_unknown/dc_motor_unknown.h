@@ -48,10 +48,10 @@
  *   y[0]  speed_measured, rad/s
  *   y[1]  voltage_measured, V
  *
- * Cost of one step with every row present: 1130 floating-point operations and 5 exp and 6 log.
+ * Cost of one step with every row present: 1134 floating-point operations and 5 exp and 6 log.
  * An instance is 101 doubles, 808 bytes; nothing else is kept. Tables of constants: 224 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 10640 bytes at -O0, 2976 at -Os.
+ * Stack of one call, interrupts left out: at most 10656 bytes at -O0, 2976 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

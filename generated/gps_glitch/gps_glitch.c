@@ -705,28 +705,19 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_6(const double *mode_covar
     return GPS_GLITCH_OK;
 }
 
-/* probabilities of the modes. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(const double
-    *predicted_mode_probability, double *weight, const double *predicted_log_weight,
-    double *log_weight_now, const double log_density_m0, const double log_density_m1,
-    const double log_density_m2, const double log_density_m3, double *log_evidence,
-    const double *mode_state, const double *variance_m0, const double *variance_m1,
-    const double *variance_m2, const double *variance_m3, double *combined_variance,
-    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
-    const double innovation_m3_0, double *combined_innovation, const double innovation_m0_1,
-    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m3_1,
-    const double innovation_m0_2, const double innovation_m1_2, const double innovation_m2_2,
-    const double innovation_m3_2, double *whitening_inverse_combined_0,
-    double *whitening_combined_0_1, double *whitening_combined_0_2,
-    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
-    double *whitening_inverse_combined_2, uint32_t present)
+/* innovation of the mixture. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_innovation_of_the_mixture_2(const double
+    *mode_state, const double *predicted_mode_probability, const double *variance_m0,
+    const double *variance_m1, const double *variance_m2, const double *variance_m3,
+    double *combined_variance, const double innovation_m0_0, const double innovation_m1_0,
+    const double innovation_m2_0, const double innovation_m3_0, double *combined_innovation,
+    const double innovation_m0_1, const double innovation_m1_1, const double innovation_m2_1,
+    const double innovation_m3_1, const double innovation_m0_2, const double innovation_m1_2,
+    const double innovation_m2_2, const double innovation_m3_2,
+    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
+    double *whitening_combined_0_2, double *whitening_inverse_combined_1,
+    double *whitening_combined_1_2, double *whitening_inverse_combined_2, uint32_t present)
 {
-    double log_joint[4] = { 0.0 };
-    double log_largest = 0.0;
-    double share_of_largest[4] = { 0.0 };
-    double share_total = 0.0;
-    double share_total_inverse = 0.0;
-    double log_share_total = 0.0;
     double predicted_y_m0[3];
     double predicted_y_m1[3];
     double predicted_y_m2[3];
@@ -735,6 +726,218 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(cons
     double whitening_pivot_combined_1;
     double whitening_pivot_combined_2;
     gps_glitch_status_t status;
+
+    /* innovation of the mixture */
+    predicted_y_m0[0] = mode_state[0] + mode_state[2];
+    predicted_y_m0[1] = mode_state[0];
+    predicted_y_m0[2] = mode_state[1];
+    predicted_y_m1[0] = mode_state[3] + mode_state[5];
+    predicted_y_m1[1] = mode_state[3];
+    predicted_y_m1[2] = mode_state[4];
+    predicted_y_m2[0] = mode_state[6] + mode_state[8];
+    predicted_y_m2[1] = 0.0;
+    predicted_y_m2[2] = 0.0;
+    predicted_y_m3[0] = mode_state[9] + mode_state[11];
+    predicted_y_m3[1] = 0.0;
+    predicted_y_m3[2] = 0.0;
+    const double t0 = predicted_mode_probability[0] * variance_m0[0];
+    const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
+    const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
+    const double t3 = t2 + (predicted_mode_probability[3] * variance_m3[0]);
+    const double t4 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t5 = t4 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t6 = t5 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t7 = t6 + (predicted_mode_probability[3] * predicted_y_m3[0]);
+    const double t8 = predicted_y_m0[0] - t7;
+    const double t9 = predicted_mode_probability[0] * t8 * t8;
+    const double t10 = predicted_y_m1[0] - t7;
+    const double t11 = t9 + (predicted_mode_probability[1] * t10 * t10);
+    const double t12 = predicted_y_m2[0] - t7;
+    const double t13 = t11 + (predicted_mode_probability[2] * t12 * t12);
+    const double t14 = predicted_y_m3[0] - t7;
+    combined_variance[0] = t3 + (t13 + (predicted_mode_probability[3] * t14 * t14));
+    const double t15 = predicted_mode_probability[0] * variance_m0[1];
+    const double t16 = t15 + (predicted_mode_probability[1] * variance_m1[1]);
+    const double t17 = t16 + (predicted_mode_probability[2] * variance_m2[1]);
+    const double t18 = t17 + (predicted_mode_probability[3] * variance_m3[1]);
+    const double t19 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t20 = t19 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t21 = t20 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t22 = t21 + (predicted_mode_probability[3] * predicted_y_m3[1]);
+    const double t23 = predicted_y_m0[1] - t22;
+    const double t24 = predicted_mode_probability[0] * t23;
+    const double t25 = t24 * t8;
+    const double t26 = predicted_y_m1[1] - t22;
+    const double t27 = predicted_mode_probability[1] * t26;
+    const double t28 = t25 + (t27 * t10);
+    const double t29 = predicted_y_m2[1] - t22;
+    const double t30 = predicted_mode_probability[2] * t29;
+    const double t31 = t28 + (t30 * t12);
+    const double t32 = predicted_y_m3[1] - t22;
+    const double t33 = predicted_mode_probability[3] * t32;
+    combined_variance[1] = t18 + (t31 + (t33 * t14));
+    const double t34 = predicted_mode_probability[0] * variance_m0[2];
+    const double t35 = t34 + (predicted_mode_probability[1] * variance_m1[2]);
+    const double t36 = t35 + (predicted_mode_probability[2] * variance_m2[2]);
+    const double t37 = t36 + (predicted_mode_probability[3] * variance_m3[2]);
+    combined_variance[2] = t37 + ((t24 * t23) + (t27 * t26) + (t30 * t29) + (t33 * t32));
+    const double t38 = predicted_mode_probability[0] * variance_m0[3];
+    const double t39 = t38 + (predicted_mode_probability[1] * variance_m1[3]);
+    const double t40 = t39 + (predicted_mode_probability[2] * variance_m2[3]);
+    const double t41 = t40 + (predicted_mode_probability[3] * variance_m3[3]);
+    const double t42 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t43 = t42 + (predicted_mode_probability[1] * predicted_y_m1[2]);
+    const double t44 = t43 + (predicted_mode_probability[2] * predicted_y_m2[2]);
+    const double t45 = t44 + (predicted_mode_probability[3] * predicted_y_m3[2]);
+    const double t46 = predicted_y_m0[2] - t45;
+    const double t47 = predicted_mode_probability[0] * t46;
+    const double t48 = t47 * t8;
+    const double t49 = predicted_y_m1[2] - t45;
+    const double t50 = predicted_mode_probability[1] * t49;
+    const double t51 = t48 + (t50 * t10);
+    const double t52 = predicted_y_m2[2] - t45;
+    const double t53 = predicted_mode_probability[2] * t52;
+    const double t54 = t51 + (t53 * t12);
+    const double t55 = predicted_y_m3[2] - t45;
+    const double t56 = predicted_mode_probability[3] * t55;
+    combined_variance[3] = t41 + (t54 + (t56 * t14));
+    const double t57 = predicted_mode_probability[0] * variance_m0[4];
+    const double t58 = t57 + (predicted_mode_probability[1] * variance_m1[4]);
+    const double t59 = t58 + (predicted_mode_probability[2] * variance_m2[4]);
+    const double t60 = t59 + (predicted_mode_probability[3] * variance_m3[4]);
+    combined_variance[4] = t60 + ((t47 * t23) + (t50 * t26) + (t53 * t29) + (t56 * t32));
+    const double t61 = predicted_mode_probability[0] * variance_m0[5];
+    const double t62 = t61 + (predicted_mode_probability[1] * variance_m1[5]);
+    const double t63 = t62 + (predicted_mode_probability[2] * variance_m2[5]);
+    const double t64 = t63 + (predicted_mode_probability[3] * variance_m3[5]);
+    combined_variance[5] = t64 + ((t47 * t46) + (t50 * t49) + (t53 * t52) + (t56 * t55));
+    const double t65 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t66 = t65 + (predicted_mode_probability[1] * innovation_m1_0);
+    const double t67 = t66 + (predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation[0] = t67 + (predicted_mode_probability[3] * innovation_m3_0);
+    const double t68 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t69 = t68 + (predicted_mode_probability[1] * innovation_m1_1);
+    const double t70 = t69 + (predicted_mode_probability[2] * innovation_m2_1);
+    combined_innovation[1] = t70 + (predicted_mode_probability[3] * innovation_m3_1);
+    const double t71 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t72 = t71 + (predicted_mode_probability[1] * innovation_m1_2);
+    const double t73 = t72 + (predicted_mode_probability[2] * innovation_m2_2);
+    combined_innovation[2] = t73 + (predicted_mode_probability[3] * innovation_m3_2);
+    whitening_pivot_combined_0 = combined_variance[0];
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_0,
+        whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
+    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
+    const double t74 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
+    const double t75 = (0.0 < t74) ? 1.0 : 0.0;
+    const double t76 = (t75 > 0.0) ? t74 : 0.0;
+    const double t77 = (1.0 - t75) * (2.6645352591003757e-15 * combined_variance[2]);
+    whitening_pivot_combined_1 = t76 + t77;
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_1,
+        whitening_inverse_combined_1, ((present & 0x2u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    const double t78 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t78 * whitening_inverse_combined_1[0];
+    const double t79 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t80 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t81 = t79 - (whitening_combined_1_2[0] * t80);
+    const double t82 = (0.0 < t81) ? 1.0 : 0.0;
+    const double t83 = (t82 > 0.0) ? t81 : 0.0;
+    const double t84 = (1.0 - t82) * (2.6645352591003757e-15 * combined_variance[5]);
+    whitening_pivot_combined_2 = t83 + t84;
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_2,
+        whitening_inverse_combined_2, ((present & 0x4u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    return GPS_GLITCH_OK;
+}
+
+/* mode 2: no signal, R. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_7(const double *mode_covariance,
+    const double *mode_state, const double innovation_m2_0, const double innovation_m2_1,
+    const double innovation_m2_2, const double *y, const double *predicted_mode_probability,
+    const double *predicted_log_weight, const double log_density_m0, const double log_density_m1,
+    const double *variance_m0, const double *variance_m1, const double innovation_m0_0,
+    const double innovation_m1_0, const double innovation_m0_1, const double innovation_m1_1,
+    const double innovation_m0_2, const double innovation_m1_2, const double *mean_m0,
+    const double *mean_m1, const double *covariance_m0, const double *covariance_m1,
+    double *innovation, double *innovation_covariance, double *nis, double *mode_probability,
+    double *log_weight, double *log_likelihood, double *filtered_state, double *filtered_covariance,
+    double *mode_filtered_state, double *mode_filtered_covariance, uint32_t present)
+{
+    double variance_m2[6];
+    double mean_m2[3] = { 0.0 };
+    double covariance_m2[6] = { 0.0 };
+    double quadratic_m2 = 0.0;
+    double log_constant_m2 = 0.0;
+    double determinant_m2_0 = 1.0;
+    double log_density_m2;
+    double innovation_m3_0 = 0.0;
+    double innovation_m3_1 = 0.0;
+    double innovation_m3_2 = 0.0;
+    double variance_m3[6];
+    double mean_m3[3] = { 0.0 };
+    double covariance_m3[6] = { 0.0 };
+    double quadratic_m3 = 0.0;
+    double log_constant_m3 = 0.0;
+    double determinant_m3_0 = 1.0;
+    double log_density_m3;
+    double weight[4];
+    double log_weight_now[4];
+    double log_joint[4] = { 0.0 };
+    double log_largest = 0.0;
+    double share_of_largest[4] = { 0.0 };
+    double share_total = 0.0;
+    double share_total_inverse = 0.0;
+    double log_share_total = 0.0;
+    double log_evidence = 0.0;
+    double combined_variance[6];
+    double combined_innovation[3];
+    double whitening_inverse_combined_0 = 0.0;
+    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_2 = 0.0;
+    double whitening_inverse_combined_1 = 0.0;
+    double whitening_combined_1_2 = 0.0;
+    double whitening_inverse_combined_2 = 0.0;
+    double combined_0_3_share[2];
+    double combined_0_1_mean[3];
+    double combined_0_1_covariance[6];
+    double combined_2_3_mean[3];
+    double combined_2_3_covariance[6];
+    double combined_0_3_mean[3];
+    double combined_0_3_apart[3];
+    double combined_0_3_covariance[6];
+    gps_glitch_status_t status;
+
+    /* mode 2: no signal, R */
+    gps_glitch_mode_4(mode_covariance, variance_m2, &mode_state[6], mean_m2, covariance_m2,
+        gps_glitch_mode_4_numbers[0]);
+
+    /* mode 2: no signal, R: row 0 of y, baro */
+    status = gps_glitch_mode_6(mode_covariance, innovation_m2_0, &mode_state[6], &quadratic_m2,
+        &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
+        innovation_m2_2, gps_glitch_mode_3_numbers[0], gps_glitch_mode_3_numbers[1], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 2: no signal, R */
+    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + gps_glitch_log(determinant_m2_0)));
+
+    /* mode 3: no signal, noise x 400: innovation, row by row */
+    gps_glitch_mode_5(&mode_state[9], y, &innovation_m3_0, &innovation_m3_1, &innovation_m3_2,
+        present);
+
+    /* mode 3: no signal, noise x 400 */
+    gps_glitch_mode_4(&mode_covariance[6], variance_m3, &mode_state[9], mean_m3, covariance_m3,
+        gps_glitch_mode_4_numbers[1]);
+
+    /* mode 3: no signal, noise x 400: row 0 of y, baro */
+    status = gps_glitch_mode_6(&mode_covariance[6], innovation_m3_0, &mode_state[9], &quadratic_m3,
+        &log_constant_m3, &determinant_m3_0, mean_m3, covariance_m3, innovation_m3_1,
+        innovation_m3_2, gps_glitch_mode_3_numbers[2], gps_glitch_mode_3_numbers[3], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 3: no signal, noise x 400 */
+    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
 
     /* probabilities of the modes */
     gps_glitch_copy(predicted_mode_probability, weight, 4);
@@ -774,127 +977,91 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(cons
         log_weight_now[2] = (t6 > GPS_GLITCH_LOG_ZERO) ? t6 : GPS_GLITCH_LOG_ZERO;
         const double t7 = (log_joint[3] - log_largest) - log_share_total;
         log_weight_now[3] = (t7 > GPS_GLITCH_LOG_ZERO) ? t7 : GPS_GLITCH_LOG_ZERO;
-        log_evidence[0] = log_largest + log_share_total;
+        log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = mode_state[0] + mode_state[2];
-    predicted_y_m0[1] = mode_state[0];
-    predicted_y_m0[2] = mode_state[1];
-    predicted_y_m1[0] = mode_state[3] + mode_state[5];
-    predicted_y_m1[1] = mode_state[3];
-    predicted_y_m1[2] = mode_state[4];
-    predicted_y_m2[0] = mode_state[6] + mode_state[8];
-    predicted_y_m2[1] = 0.0;
-    predicted_y_m2[2] = 0.0;
-    predicted_y_m3[0] = mode_state[9] + mode_state[11];
-    predicted_y_m3[1] = 0.0;
-    predicted_y_m3[2] = 0.0;
-    const double t8 = predicted_mode_probability[0] * variance_m0[0];
-    const double t9 = t8 + (predicted_mode_probability[1] * variance_m1[0]);
-    const double t10 = t9 + (predicted_mode_probability[2] * variance_m2[0]);
-    const double t11 = t10 + (predicted_mode_probability[3] * variance_m3[0]);
-    const double t12 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t13 = t12 + (predicted_mode_probability[1] * predicted_y_m1[0]);
-    const double t14 = t13 + (predicted_mode_probability[2] * predicted_y_m2[0]);
-    const double t15 = t14 + (predicted_mode_probability[3] * predicted_y_m3[0]);
-    const double t16 = predicted_y_m0[0] - t15;
-    const double t17 = predicted_mode_probability[0] * t16 * t16;
-    const double t18 = predicted_y_m1[0] - t15;
-    const double t19 = t17 + (predicted_mode_probability[1] * t18 * t18);
-    const double t20 = predicted_y_m2[0] - t15;
-    const double t21 = t19 + (predicted_mode_probability[2] * t20 * t20);
-    const double t22 = predicted_y_m3[0] - t15;
-    combined_variance[0] = t11 + (t21 + (predicted_mode_probability[3] * t22 * t22));
-    const double t23 = predicted_mode_probability[0] * variance_m0[1];
-    const double t24 = t23 + (predicted_mode_probability[1] * variance_m1[1]);
-    const double t25 = t24 + (predicted_mode_probability[2] * variance_m2[1]);
-    const double t26 = t25 + (predicted_mode_probability[3] * variance_m3[1]);
-    const double t27 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t28 = t27 + (predicted_mode_probability[1] * predicted_y_m1[1]);
-    const double t29 = t28 + (predicted_mode_probability[2] * predicted_y_m2[1]);
-    const double t30 = t29 + (predicted_mode_probability[3] * predicted_y_m3[1]);
-    const double t31 = predicted_y_m0[1] - t30;
-    const double t32 = predicted_mode_probability[0] * t31;
-    const double t33 = t32 * t16;
-    const double t34 = predicted_y_m1[1] - t30;
-    const double t35 = predicted_mode_probability[1] * t34;
-    const double t36 = t33 + (t35 * t18);
-    const double t37 = predicted_y_m2[1] - t30;
-    const double t38 = predicted_mode_probability[2] * t37;
-    const double t39 = t36 + (t38 * t20);
-    const double t40 = predicted_y_m3[1] - t30;
-    const double t41 = predicted_mode_probability[3] * t40;
-    combined_variance[1] = t26 + (t39 + (t41 * t22));
-    const double t42 = predicted_mode_probability[0] * variance_m0[2];
-    const double t43 = t42 + (predicted_mode_probability[1] * variance_m1[2]);
-    const double t44 = t43 + (predicted_mode_probability[2] * variance_m2[2]);
-    const double t45 = t44 + (predicted_mode_probability[3] * variance_m3[2]);
-    combined_variance[2] = t45 + ((t32 * t31) + (t35 * t34) + (t38 * t37) + (t41 * t40));
-    const double t46 = predicted_mode_probability[0] * variance_m0[3];
-    const double t47 = t46 + (predicted_mode_probability[1] * variance_m1[3]);
-    const double t48 = t47 + (predicted_mode_probability[2] * variance_m2[3]);
-    const double t49 = t48 + (predicted_mode_probability[3] * variance_m3[3]);
-    const double t50 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t51 = t50 + (predicted_mode_probability[1] * predicted_y_m1[2]);
-    const double t52 = t51 + (predicted_mode_probability[2] * predicted_y_m2[2]);
-    const double t53 = t52 + (predicted_mode_probability[3] * predicted_y_m3[2]);
-    const double t54 = predicted_y_m0[2] - t53;
-    const double t55 = predicted_mode_probability[0] * t54;
-    const double t56 = t55 * t16;
-    const double t57 = predicted_y_m1[2] - t53;
-    const double t58 = predicted_mode_probability[1] * t57;
-    const double t59 = t56 + (t58 * t18);
-    const double t60 = predicted_y_m2[2] - t53;
-    const double t61 = predicted_mode_probability[2] * t60;
-    const double t62 = t59 + (t61 * t20);
-    const double t63 = predicted_y_m3[2] - t53;
-    const double t64 = predicted_mode_probability[3] * t63;
-    combined_variance[3] = t49 + (t62 + (t64 * t22));
-    const double t65 = predicted_mode_probability[0] * variance_m0[4];
-    const double t66 = t65 + (predicted_mode_probability[1] * variance_m1[4]);
-    const double t67 = t66 + (predicted_mode_probability[2] * variance_m2[4]);
-    const double t68 = t67 + (predicted_mode_probability[3] * variance_m3[4]);
-    combined_variance[4] = t68 + ((t55 * t31) + (t58 * t34) + (t61 * t37) + (t64 * t40));
-    const double t69 = predicted_mode_probability[0] * variance_m0[5];
-    const double t70 = t69 + (predicted_mode_probability[1] * variance_m1[5]);
-    const double t71 = t70 + (predicted_mode_probability[2] * variance_m2[5]);
-    const double t72 = t71 + (predicted_mode_probability[3] * variance_m3[5]);
-    combined_variance[5] = t72 + ((t55 * t54) + (t58 * t57) + (t61 * t60) + (t64 * t63));
-    const double t73 = predicted_mode_probability[0] * innovation_m0_0;
-    const double t74 = t73 + (predicted_mode_probability[1] * innovation_m1_0);
-    const double t75 = t74 + (predicted_mode_probability[2] * innovation_m2_0);
-    combined_innovation[0] = t75 + (predicted_mode_probability[3] * innovation_m3_0);
-    const double t76 = predicted_mode_probability[0] * innovation_m0_1;
-    const double t77 = t76 + (predicted_mode_probability[1] * innovation_m1_1);
-    const double t78 = t77 + (predicted_mode_probability[2] * innovation_m2_1);
-    combined_innovation[1] = t78 + (predicted_mode_probability[3] * innovation_m3_1);
-    const double t79 = predicted_mode_probability[0] * innovation_m0_2;
-    const double t80 = t79 + (predicted_mode_probability[1] * innovation_m1_2);
-    const double t81 = t80 + (predicted_mode_probability[2] * innovation_m2_2);
-    combined_innovation[2] = t81 + (predicted_mode_probability[3] * innovation_m3_2);
-    whitening_pivot_combined_0 = combined_variance[0];
-    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_0,
-        whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    status = gps_glitch_innovation_of_the_mixture_2(mode_state, predicted_mode_probability,
+        variance_m0, variance_m1, variance_m2, variance_m3, combined_variance, innovation_m0_0,
+        innovation_m1_0, innovation_m2_0, innovation_m3_0, combined_innovation, innovation_m0_1,
+        innovation_m1_1, innovation_m2_1, innovation_m3_1, innovation_m0_2, innovation_m1_2,
+        innovation_m2_2, innovation_m3_2, &whitening_inverse_combined_0, &whitening_combined_0_1,
+        &whitening_combined_0_2, &whitening_inverse_combined_1, &whitening_combined_1_2,
+        &whitening_inverse_combined_2, present);
     if (status != GPS_GLITCH_OK) { return status; }
-    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
-    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
-    const double t82 = combined_variance[2] - (whitening_combined_0_1[0] * combined_variance[1]);
-    const double t83 = 2.6645352591003757e-15 * combined_variance[2];
-    whitening_pivot_combined_1 = (t82 > t83) ? t82 : t83;
-    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_1,
-        whitening_inverse_combined_1, ((present & 0x2u) != 0u));
-    if (status != GPS_GLITCH_OK) { return status; }
-    const double t84 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    whitening_combined_1_2[0] = t84 * whitening_inverse_combined_1[0];
-    const double t85 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
-    const double t86 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
-    const double t87 = t85 - (whitening_combined_1_2[0] * t86);
-    const double t88 = 2.6645352591003757e-15 * combined_variance[5];
-    whitening_pivot_combined_2 = (t87 > t88) ? t87 : t88;
-    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_2,
-        whitening_inverse_combined_2, ((present & 0x4u) != 0u));
-    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* combination */
+    combined_0_3_share[0] = weight[0] + weight[1];
+    combined_0_3_share[1] = weight[2] + weight[3];
+    gps_glitch_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
+        covariance_m1, combined_0_1_covariance);
+    gps_glitch_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
+        covariance_m3, combined_2_3_covariance);
+    gps_glitch_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
+        combined_0_3_apart);
+    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t10 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t9 + (t10 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t13 = t10 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t12 + (t13 * combined_0_3_apart[0]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t15 + (t13 * combined_0_3_apart[1]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t18 = t10 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t17 + (t18 * combined_0_3_apart[0]);
+    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t20 = t19 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t20 + (t18 * combined_0_3_apart[1]);
+    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t22 = t21 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t22 + (t18 * combined_0_3_apart[2]);
+    if (!gps_glitch_finite((gps_glitch_defect(combined_0_3_mean[0]) +
+        gps_glitch_defect(combined_0_3_mean[1])) + gps_glitch_defect(combined_0_3_mean[2])))
+    {
+        return GPS_GLITCH_RESULT_NOT_FINITE;
+    }
+    const double t23 = combined_innovation[0] * combined_innovation[0];
+    const double t24 = t23 * whitening_inverse_combined_0;
+    const double t25 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t26 = t24 + (t25 * t25 * whitening_inverse_combined_1);
+    const double t27 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t28 = t27 - (whitening_combined_1_2 * t25);
+    const double t29 = t26 + (t28 * t28 * whitening_inverse_combined_2);
+    if (!gps_glitch_finite((((gps_glitch_defect(combined_variance[0]) +
+        gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[5]) +
+        gps_glitch_defect(t29))) + ((gps_glitch_defect(log_weight_now[0]) +
+        gps_glitch_defect(log_weight_now[1])) + (gps_glitch_defect(log_weight_now[2]) +
+        gps_glitch_defect(log_weight_now[3])))) + (((gps_glitch_defect(log_evidence) +
+        gps_glitch_defect(combined_0_3_covariance[0])) +
+        (gps_glitch_defect(combined_0_3_covariance[1]) +
+        gps_glitch_defect(combined_0_3_covariance[2]))) +
+        ((gps_glitch_defect(combined_0_3_covariance[3]) +
+        gps_glitch_defect(combined_0_3_covariance[4])) +
+        gps_glitch_defect(combined_0_3_covariance[5])))))
+    {
+        return GPS_GLITCH_RESULT_NOT_FINITE;
+    }
+    gps_glitch_copy(combined_innovation, innovation, 3);
+    gps_glitch_copy(combined_variance, innovation_covariance, 6);
+    nis[0] = t29;
+    gps_glitch_copy(weight, mode_probability, 4);
+    gps_glitch_copy(log_weight_now, log_weight, 4);
+    log_likelihood[0] = log_evidence;
+    gps_glitch_copy(combined_0_3_mean, filtered_state, 3);
+    gps_glitch_copy(combined_0_3_covariance, filtered_covariance, 6);
+    gps_glitch_copy(mean_m0, mode_filtered_state, 3);
+    gps_glitch_copy(mean_m1, &mode_filtered_state[3], 3);
+    gps_glitch_copy(mean_m2, &mode_filtered_state[6], 3);
+    gps_glitch_copy(mean_m3, &mode_filtered_state[9], 3);
+    gps_glitch_copy(covariance_m0, mode_filtered_covariance, 6);
+    gps_glitch_copy(covariance_m1, &mode_filtered_covariance[6], 6);
+    gps_glitch_copy(covariance_m2, &mode_filtered_covariance[12], 6);
+    gps_glitch_copy(covariance_m3, &mode_filtered_covariance[18], 6);
     return GPS_GLITCH_OK;
 }
 
@@ -919,42 +1086,6 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
-    double variance_m2[6];
-    double mean_m2[3] = { 0.0 };
-    double covariance_m2[6] = { 0.0 };
-    double quadratic_m2 = 0.0;
-    double log_constant_m2 = 0.0;
-    double determinant_m2_0 = 1.0;
-    double log_density_m2;
-    double innovation_m3_0 = 0.0;
-    double innovation_m3_1 = 0.0;
-    double innovation_m3_2 = 0.0;
-    double variance_m3[6];
-    double mean_m3[3] = { 0.0 };
-    double covariance_m3[6] = { 0.0 };
-    double quadratic_m3 = 0.0;
-    double log_constant_m3 = 0.0;
-    double determinant_m3_0 = 1.0;
-    double log_density_m3;
-    double weight[4];
-    double log_weight_now[4];
-    double log_evidence = 0.0;
-    double combined_variance[6] = { 0.0 };
-    double combined_innovation[3] = { 0.0 };
-    double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
-    double whitening_combined_0_2 = 0.0;
-    double whitening_inverse_combined_1 = 0.0;
-    double whitening_combined_1_2 = 0.0;
-    double whitening_inverse_combined_2 = 0.0;
-    double combined_0_3_share[2];
-    double combined_0_1_mean[3];
-    double combined_0_1_covariance[6];
-    double combined_2_3_mean[3];
-    double combined_2_3_covariance[6];
-    double combined_0_3_mean[3];
-    double combined_0_3_apart[3];
-    double combined_0_3_covariance[6];
     gps_glitch_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[6] >= 0.0) &&
@@ -983,119 +1114,15 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         present);
 
     /* mode 2: no signal, R */
-    gps_glitch_mode_4(&self->mode_covariance[12], variance_m2, &self->mode_state[6], mean_m2,
-        covariance_m2, gps_glitch_mode_4_numbers[0]);
-
-    /* mode 2: no signal, R: row 0 of y, baro */
-    status = gps_glitch_mode_6(&self->mode_covariance[12], innovation_m2_0, &self->mode_state[6],
-        &quadratic_m2, &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
-        innovation_m2_2, gps_glitch_mode_3_numbers[0], gps_glitch_mode_3_numbers[1], present);
+    status = gps_glitch_mode_7(&self->mode_covariance[12], self->mode_state, innovation_m2_0,
+        innovation_m2_1, innovation_m2_2, y, self->predicted_mode_probability,
+        self->predicted_log_weight, log_density_m0, log_density_m1, variance_m0, variance_m1,
+        innovation_m0_0, innovation_m1_0, innovation_m0_1, innovation_m1_1, innovation_m0_2,
+        innovation_m1_2, mean_m0, mean_m1, covariance_m0, covariance_m1, next->innovation,
+        next->innovation_covariance, &next->nis, next->mode_probability, next->log_weight,
+        &next->log_likelihood, next->filtered_state, next->filtered_covariance,
+        next->mode_filtered_state, next->mode_filtered_covariance, present);
     if (status != GPS_GLITCH_OK) { return status; }
-
-    /* mode 2: no signal, R */
-    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + gps_glitch_log(determinant_m2_0)));
-
-    /* mode 3: no signal, noise x 400: innovation, row by row */
-    gps_glitch_mode_5(&self->mode_state[9], y, &innovation_m3_0, &innovation_m3_1, &innovation_m3_2,
-        present);
-
-    /* mode 3: no signal, noise x 400 */
-    gps_glitch_mode_4(&self->mode_covariance[18], variance_m3, &self->mode_state[9], mean_m3,
-        covariance_m3, gps_glitch_mode_4_numbers[1]);
-
-    /* mode 3: no signal, noise x 400: row 0 of y, baro */
-    status = gps_glitch_mode_6(&self->mode_covariance[18], innovation_m3_0, &self->mode_state[9],
-        &quadratic_m3, &log_constant_m3, &determinant_m3_0, mean_m3, covariance_m3, innovation_m3_1,
-        innovation_m3_2, gps_glitch_mode_3_numbers[2], gps_glitch_mode_3_numbers[3], present);
-    if (status != GPS_GLITCH_OK) { return status; }
-
-    /* mode 3: no signal, noise x 400 */
-    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
-
-    /* probabilities of the modes */
-    status = gps_glitch_probabilities_of_the_modes(self->predicted_mode_probability, weight,
-        self->predicted_log_weight, log_weight_now, log_density_m0, log_density_m1, log_density_m2,
-        log_density_m3, &log_evidence, self->mode_state, variance_m0, variance_m1, variance_m2,
-        variance_m3, combined_variance, innovation_m0_0, innovation_m1_0, innovation_m2_0,
-        innovation_m3_0, combined_innovation, innovation_m0_1, innovation_m1_1, innovation_m2_1,
-        innovation_m3_1, innovation_m0_2, innovation_m1_2, innovation_m2_2, innovation_m3_2,
-        &whitening_inverse_combined_0, &whitening_combined_0_1, &whitening_combined_0_2,
-        &whitening_inverse_combined_1, &whitening_combined_1_2, &whitening_inverse_combined_2,
-        present);
-    if (status != GPS_GLITCH_OK) { return status; }
-
-    /* combination */
-    combined_0_3_share[0] = weight[0] + weight[1];
-    combined_0_3_share[1] = weight[2] + weight[3];
-    gps_glitch_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
-        covariance_m1, combined_0_1_covariance);
-    gps_glitch_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
-        covariance_m3, combined_2_3_covariance);
-    gps_glitch_part_2(combined_0_3_share, combined_0_1_mean, combined_2_3_mean, combined_0_3_mean,
-        combined_0_3_apart);
-    const double t0 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t1 = t0 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
-    const double t2 = combined_0_3_share[0] * combined_0_3_share[1];
-    combined_0_3_covariance[0] = t1 + (t2 * combined_0_3_apart[0] * combined_0_3_apart[0]);
-    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
-    const double t5 = t2 * combined_0_3_apart[1];
-    combined_0_3_covariance[1] = t4 + (t5 * combined_0_3_apart[0]);
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
-    combined_0_3_covariance[2] = t7 + (t5 * combined_0_3_apart[1]);
-    const double t8 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t9 = t8 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
-    const double t10 = t2 * combined_0_3_apart[2];
-    combined_0_3_covariance[3] = t9 + (t10 * combined_0_3_apart[0]);
-    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
-    combined_0_3_covariance[4] = t12 + (t10 * combined_0_3_apart[1]);
-    const double t13 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t14 = t13 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
-    combined_0_3_covariance[5] = t14 + (t10 * combined_0_3_apart[2]);
-    if (!gps_glitch_finite((gps_glitch_defect(combined_0_3_mean[0]) +
-        gps_glitch_defect(combined_0_3_mean[1])) + gps_glitch_defect(combined_0_3_mean[2])))
-    {
-        return GPS_GLITCH_RESULT_NOT_FINITE;
-    }
-    const double t15 = combined_innovation[0] * combined_innovation[0];
-    const double t16 = t15 * whitening_inverse_combined_0;
-    const double t17 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t18 = t16 + (t17 * t17 * whitening_inverse_combined_1);
-    const double t19 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t20 = t19 - (whitening_combined_1_2 * t17);
-    const double t21 = t18 + (t20 * t20 * whitening_inverse_combined_2);
-    if (!gps_glitch_finite((((gps_glitch_defect(combined_variance[0]) +
-        gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[5]) +
-        gps_glitch_defect(t21))) + ((gps_glitch_defect(log_weight_now[0]) +
-        gps_glitch_defect(log_weight_now[1])) + (gps_glitch_defect(log_weight_now[2]) +
-        gps_glitch_defect(log_weight_now[3])))) + (((gps_glitch_defect(log_evidence) +
-        gps_glitch_defect(combined_0_3_covariance[0])) +
-        (gps_glitch_defect(combined_0_3_covariance[1]) +
-        gps_glitch_defect(combined_0_3_covariance[2]))) +
-        ((gps_glitch_defect(combined_0_3_covariance[3]) +
-        gps_glitch_defect(combined_0_3_covariance[4])) +
-        gps_glitch_defect(combined_0_3_covariance[5])))))
-    {
-        return GPS_GLITCH_RESULT_NOT_FINITE;
-    }
-    gps_glitch_copy(combined_innovation, next->innovation, 3);
-    gps_glitch_copy(combined_variance, next->innovation_covariance, 6);
-    next->nis = t21;
-    gps_glitch_copy(weight, next->mode_probability, 4);
-    gps_glitch_copy(log_weight_now, next->log_weight, 4);
-    next->log_likelihood = log_evidence;
-    gps_glitch_copy(combined_0_3_mean, next->filtered_state, 3);
-    gps_glitch_copy(combined_0_3_covariance, next->filtered_covariance, 6);
-    gps_glitch_copy(mean_m0, next->mode_filtered_state, 3);
-    gps_glitch_copy(mean_m1, &next->mode_filtered_state[3], 3);
-    gps_glitch_copy(mean_m2, &next->mode_filtered_state[6], 3);
-    gps_glitch_copy(mean_m3, &next->mode_filtered_state[9], 3);
-    gps_glitch_copy(covariance_m0, next->mode_filtered_covariance, 6);
-    gps_glitch_copy(covariance_m1, &next->mode_filtered_covariance[6], 6);
-    gps_glitch_copy(covariance_m2, &next->mode_filtered_covariance[12], 6);
-    gps_glitch_copy(covariance_m3, &next->mode_filtered_covariance[18], 6);
     return GPS_GLITCH_OK;
 }
 

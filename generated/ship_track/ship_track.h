@@ -73,11 +73,11 @@
  *   y[2]  report_speed_east, m/s
  *   y[3]  report_speed_north, m/s
  *
- * Cost of one step with every row present: 1764 floating-point operations and 1 cos and 7 exp and 7
+ * Cost of one step with every row present: 1776 floating-point operations and 1 cos and 7 exp and 7
  * log and 1 sin.
  * An instance is 141 doubles, 1128 bytes; nothing else is kept. Tables of constants: 168 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 19168 bytes at -O0, 5312 at -Os.
+ * Stack of one call, interrupts left out: at most 19184 bytes at -O0, 5312 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

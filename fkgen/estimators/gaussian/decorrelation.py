@@ -214,8 +214,8 @@ def whiten(
     """Write the blocks that eliminate S (packed) from ``columns`` (p, c).
 
     ``kept`` is positive where a row counts that is there; with a ``tolerance`` those do not of
-    which so small a share of their variance is news. No pivot counts for less than the share
-    ``least`` of its variance: for S that is positive definite, where what is less is rounding.
+    which so small a share of their variance is news. Where S is known to be positive definite a
+    pivot that is not positive is rounding: it counts as the share ``least`` of its variance.
     """
     p = columns.shape[0]
     in_loops = are_many(p**4 / 3.0)  # each step in line goes through those before it again
@@ -247,8 +247,11 @@ def whiten(
 
 
 def _at_least(pivot: ca.SX, own: ca.SX, share: float) -> ca.SX:
-    """A pivot, or a share of the variance that it is left of."""
-    return pivot if share == 0.0 else ca.fmax(pivot, share * own)
+    """A pivot; where it is not positive, a share of the variance that it is left of."""
+    if share == 0.0:
+        return pivot
+    sound = pivot > 0
+    return ca.SX.binary(ca.OP_IF_ELSE_ZERO, sound, pivot) + (1 - sound) * (share * own)
 
 
 def _whiten_in_loops(
