@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM_FILES = 12
-PACKAGE_LINES = 43_200
+PACKAGE_LINES = 43_300
 FUNCTION_LINES = 50
 DRAWERS = {"common", "helpers", "misc", "util", "utils"}
 
