@@ -219,11 +219,10 @@ LATE_GPS_INLINE void late_gps_results_of_the_update(const double age, double *co
 
 /* the last samples once more, for what is late. */
 LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double longest_delay,
-    double *past_state, double *past_covariance, const double late_0, double *signal_cross,
-    double *signal, double *signal_covariance, const double late_1, const double late_2,
-    const double late_3, const double *past_delay, const double *past_rows,
-    const double *past_parameters, double *revised_signal, double *revised_own, const double row_0,
-    const double row_1, const double row_2, const double row_3, const late_gps_params_t *params)
+    double *past_state, double *past_covariance, const double *late_by, const double *late_flag,
+    double *signal, double *signal_cross, double *signal_own, const double *past_delay,
+    const double *past_rows, const double *past_parameters, double *revised, double *revised_own,
+    const double *late_noise, const double *late_seen)
 {
     static const double ages[9] = {
         0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0
@@ -231,47 +230,43 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
     double replayed_age;
     double replayed_state[4] = { 0.0 };
     double replayed_covariance[10] = { 0.0 };
-    double replayed_cross_0[4];
-    double replayed_pivot_0;
-    double replayed_inverse_0;
-    double replayed_weight_0;
-    double signal_seen_0[4];
-    double replayed_cross_1[4];
-    double replayed_pivot_1;
-    double replayed_inverse_1;
-    double replayed_weight_1;
-    double signal_seen_1[4];
-    double replayed_cross_2[4];
-    double replayed_pivot_2;
-    double replayed_inverse_2;
-    double replayed_weight_2;
-    double signal_seen_2[4];
-    double replayed_cross_3[4];
-    double replayed_pivot_3;
-    double replayed_inverse_3;
-    double replayed_weight_3;
-    double signal_seen_3[4];
+    static const double late_rows[16] = {
+        1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    };
+    double late_row[4];
+    static const double late_offsets[4] = {
+        0.0, 0.0, 0.0, 0.0
+    };
+    double shared_signal;
+    double apart;
+    double replayed_row[4];
+    double replayed_cross[4];
+    static const double replayed_noise[4] = {
+        1.0, 1.0, 0.09, 0.09
+    };
+    double replayed_pivot;
+    double replayed_inverse;
+    double replayed_weight;
+    double signal_seen[4] = { 0.0 };
+    double signal_gain;
+    double signal_row[4];
     double revised_state[4] = { 0.0 };
     double revised_covariance[10] = { 0.0 };
     double revised_cross[16] = { 0.0 };
-    double late_pivot_0;
-    double late_inverse_0;
-    double late_weight_0;
-    double late_pivot_1;
-    double late_inverse_1;
-    double late_weight_1;
-    double late_pivot_2;
-    double late_inverse_2;
-    double late_weight_2;
-    double late_pivot_3;
-    double late_inverse_3;
-    double late_weight_3;
+    double late_shared[4] = { 0.0 };
+    double late_pivot;
+    double late_inverse;
+    double late_news;
+    double late_gain;
+    double late_weight;
+    double late_cross[4];
+    double late_share;
     const double t0 = longest_delay - 0.5;
     if (t0 > 0.0)
     {
-        for (int i = 0; i < 8; ++i)
+        for (int past = 0; past < 8; ++past)
         {
-            replayed_age = ages[8 - i];
+            replayed_age = ages[8 - past];
             const double t1 = (longest_delay - replayed_age) + 0.5;
             if (t1 > 0.0)
             {
@@ -282,946 +277,320 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
                     {
                         for (int first = 0; first < 1; ++first)
                         {
-                            replayed_state[0] = past_state[32 - 4 * i];
-                            replayed_state[1] = past_state[33 - 4 * i];
-                            replayed_state[2] = past_state[34 - 4 * i];
-                            replayed_state[3] = past_state[35 - 4 * i];
-                            replayed_covariance[0] = past_covariance[80 - 10 * i];
-                            replayed_covariance[1] = past_covariance[81 - 10 * i];
-                            replayed_covariance[2] = past_covariance[82 - 10 * i];
-                            replayed_covariance[3] = past_covariance[83 - 10 * i];
-                            replayed_covariance[4] = past_covariance[84 - 10 * i];
-                            replayed_covariance[5] = past_covariance[85 - 10 * i];
-                            replayed_covariance[6] = past_covariance[86 - 10 * i];
-                            replayed_covariance[7] = past_covariance[87 - 10 * i];
-                            replayed_covariance[8] = past_covariance[88 - 10 * i];
-                            replayed_covariance[9] = past_covariance[89 - 10 * i];
-                        }
-                    }
-                    const double t3 = (params->delay_gps_east < (replayed_age + 0.5)) ? 1.0 : 0.0;
-                    const double t4 = ((replayed_age - 0.5) < params->delay_gps_east) ? 1.0 : 0.0;
-                    const double t5 = (late_0 * (t3 * t4)) - 0.5;
-                    if (t5 > 0.0)
-                    {
-                        for (int begun = 0; begun < 1; ++begun)
-                        {
-                            const double t6 = signal_cross[4];
-                            const double t7 = signal_cross[8];
-                            const double t8 = signal_cross[12];
-                            signal[0] = replayed_state[0];
-                            signal_cross[0] = replayed_covariance[0];
-                            signal_cross[1] = replayed_covariance[1];
-                            signal_cross[2] = replayed_covariance[3];
-                            signal_cross[3] = replayed_covariance[6];
-                            signal_covariance[0] = replayed_covariance[0];
-                            signal_covariance[1] = t6;
-                            signal_covariance[3] = t7;
-                            signal_covariance[6] = t8;
-                        }
-                    }
-                    const double t9 = (params->delay_gps_north < (replayed_age + 0.5)) ? 1.0 : 0.0;
-                    const double t10 = ((replayed_age - 0.5) < params->delay_gps_north) ? 1.0 : 0.0;
-                    const double t11 = (late_1 * (t9 * t10)) - 0.5;
-                    if (t11 > 0.0)
-                    {
-                        for (int begun = 0; begun < 1; ++begun)
-                        {
-                            const double t12 = signal_cross[1];
-                            const double t13 = signal_cross[9];
-                            const double t14 = signal_cross[13];
-                            signal[1] = replayed_state[1];
-                            signal_cross[4] = replayed_covariance[1];
-                            signal_cross[5] = replayed_covariance[2];
-                            signal_cross[6] = replayed_covariance[4];
-                            signal_cross[7] = replayed_covariance[7];
-                            signal_covariance[1] = t12;
-                            signal_covariance[2] = replayed_covariance[2];
-                            signal_covariance[4] = t13;
-                            signal_covariance[7] = t14;
-                        }
-                    }
-                    const double t15 = replayed_age + 0.5;
-                    const double t16 = (params->delay_gps_v_east < t15) ? 1.0 : 0.0;
-                    const double t17 = replayed_age - 0.5;
-                    const double t18 = t16 * ((t17 < params->delay_gps_v_east) ? 1.0 : 0.0);
-                    const double t19 = (late_2 * t18) - 0.5;
-                    if (t19 > 0.0)
-                    {
-                        for (int begun = 0; begun < 1; ++begun)
-                        {
-                            const double t20 = signal_cross[2];
-                            const double t21 = signal_cross[6];
-                            const double t22 = signal_cross[14];
-                            signal[2] = replayed_state[2];
-                            late_gps_copy(&replayed_covariance[3], &signal_cross[8], 3);
-                            signal_cross[11] = replayed_covariance[8];
-                            signal_covariance[3] = t20;
-                            signal_covariance[4] = t21;
-                            signal_covariance[5] = replayed_covariance[5];
-                            signal_covariance[8] = t22;
-                        }
-                    }
-                    const double t23 = replayed_age + 0.5;
-                    const double t24 = (params->delay_gps_v_north < t23) ? 1.0 : 0.0;
-                    const double t25 = replayed_age - 0.5;
-                    const double t26 = t24 * ((t25 < params->delay_gps_v_north) ? 1.0 : 0.0);
-                    const double t27 = (late_3 * t26) - 0.5;
-                    if (t27 > 0.0)
-                    {
-                        for (int begun = 0; begun < 1; ++begun)
-                        {
-                            const double t28 = signal_cross[3];
-                            const double t29 = signal_cross[7];
-                            const double t30 = signal_cross[11];
-                            signal[3] = replayed_state[3];
-                            late_gps_copy(&replayed_covariance[6], &signal_cross[12], 4);
-                            signal_covariance[6] = t28;
-                            signal_covariance[7] = t29;
-                            signal_covariance[8] = t30;
-                            signal_covariance[9] = replayed_covariance[9];
-                        }
-                    }
-                    for (int b = 1; b < 9 - i; ++b)
-                    {
-                        const double t31 = replayed_age - ages[b];
-                        const double t32 = (past_delay[4 * b] < (t31 + 0.5)) ? 1.0 : 0.0;
-                        const double t33 = t32 * (((t31 - 0.5) < past_delay[4 * b]) ? 1.0 : 0.0);
-                        const double t34 = t33 - 0.5;
-                        if (t34 > 0.0)
-                        {
-                            for (int there = 0; there < 1; ++there)
+                            for (int i = 0; i < 4; ++i)
                             {
-                                replayed_cross_0[0] = replayed_covariance[0];
-                                replayed_cross_0[1] = replayed_covariance[1];
-                                replayed_cross_0[2] = replayed_covariance[3];
-                                replayed_cross_0[3] = replayed_covariance[6];
-                                replayed_pivot_0 = replayed_cross_0[0] + 1.0;
-                                if (!(replayed_pivot_0 > 0.0))
-                                {
-                                    return LATE_GPS_NOT_POSITIVE_DEFINITE;
-                                }
-                                replayed_inverse_0 = 1.0 / replayed_pivot_0;
-                                const double t35 = past_rows[4 * b] - replayed_state[0];
-                                replayed_weight_0 = t35 * replayed_inverse_0;
-                                signal_seen_0[0] = signal_cross[0];
-                                signal_seen_0[1] = signal_cross[4];
-                                signal_seen_0[2] = signal_cross[8];
-                                signal_seen_0[3] = signal_cross[12];
-                                const double t36 = replayed_cross_0[0] * replayed_weight_0;
-                                replayed_state[0] = replayed_state[0] + t36;
-                                const double t37 = replayed_cross_0[1] * replayed_weight_0;
-                                replayed_state[1] = replayed_state[1] + t37;
-                                const double t38 = replayed_cross_0[2] * replayed_weight_0;
-                                replayed_state[2] = replayed_state[2] + t38;
-                                const double t39 = replayed_cross_0[3] * replayed_weight_0;
-                                replayed_state[3] = replayed_state[3] + t39;
-                                const double t40 = replayed_cross_0[0] * replayed_inverse_0;
-                                const double t41 = t40 * replayed_cross_0[0];
-                                replayed_covariance[0] = replayed_covariance[0] - t41;
-                                const double t42 = replayed_cross_0[1] * replayed_inverse_0;
-                                const double t43 = t42 * replayed_cross_0[0];
-                                replayed_covariance[1] = replayed_covariance[1] - t43;
-                                const double t44 = t42 * replayed_cross_0[1];
-                                replayed_covariance[2] = replayed_covariance[2] - t44;
-                                const double t45 = replayed_cross_0[2] * replayed_inverse_0;
-                                const double t46 = t45 * replayed_cross_0[0];
-                                replayed_covariance[3] = replayed_covariance[3] - t46;
-                                const double t47 = t45 * replayed_cross_0[1];
-                                replayed_covariance[4] = replayed_covariance[4] - t47;
-                                const double t48 = t45 * replayed_cross_0[2];
-                                replayed_covariance[5] = replayed_covariance[5] - t48;
-                                const double t49 = replayed_cross_0[3] * replayed_inverse_0;
-                                const double t50 = t49 * replayed_cross_0[0];
-                                replayed_covariance[6] = replayed_covariance[6] - t50;
-                                const double t51 = t49 * replayed_cross_0[1];
-                                replayed_covariance[7] = replayed_covariance[7] - t51;
-                                const double t52 = t49 * replayed_cross_0[2];
-                                replayed_covariance[8] = replayed_covariance[8] - t52;
-                                const double t53 = t49 * replayed_cross_0[3];
-                                replayed_covariance[9] = replayed_covariance[9] - t53;
-                                signal[0] = signal[0] + (signal_seen_0[0] * replayed_weight_0);
-                                signal[1] = signal[1] + (signal_seen_0[1] * replayed_weight_0);
-                                signal[2] = signal[2] + (signal_seen_0[2] * replayed_weight_0);
-                                signal[3] = signal[3] + (signal_seen_0[3] * replayed_weight_0);
-                                const double t54 = signal_seen_0[0] * replayed_inverse_0;
-                                signal_cross[0] = signal_cross[0] - (t54 * replayed_cross_0[0]);
-                                signal_cross[1] = signal_cross[1] - (t54 * replayed_cross_0[1]);
-                                signal_cross[2] = signal_cross[2] - (t54 * replayed_cross_0[2]);
-                                signal_cross[3] = signal_cross[3] - (t54 * replayed_cross_0[3]);
-                                const double t55 = signal_seen_0[1] * replayed_inverse_0;
-                                signal_cross[4] = signal_cross[4] - (t55 * replayed_cross_0[0]);
-                                signal_cross[5] = signal_cross[5] - (t55 * replayed_cross_0[1]);
-                                signal_cross[6] = signal_cross[6] - (t55 * replayed_cross_0[2]);
-                                signal_cross[7] = signal_cross[7] - (t55 * replayed_cross_0[3]);
-                                const double t56 = signal_seen_0[2] * replayed_inverse_0;
-                                signal_cross[8] = signal_cross[8] - (t56 * replayed_cross_0[0]);
-                                signal_cross[9] = signal_cross[9] - (t56 * replayed_cross_0[1]);
-                                signal_cross[10] = signal_cross[10] - (t56 * replayed_cross_0[2]);
-                                signal_cross[11] = signal_cross[11] - (t56 * replayed_cross_0[3]);
-                                const double t57 = signal_seen_0[3] * replayed_inverse_0;
-                                signal_cross[12] = signal_cross[12] - (t57 * replayed_cross_0[0]);
-                                signal_cross[13] = signal_cross[13] - (t57 * replayed_cross_0[1]);
-                                signal_cross[14] = signal_cross[14] - (t57 * replayed_cross_0[2]);
-                                signal_cross[15] = signal_cross[15] - (t57 * replayed_cross_0[3]);
-                                const double t58 = t54 * signal_seen_0[0];
-                                signal_covariance[0] = signal_covariance[0] - t58;
-                                const double t59 = t55 * signal_seen_0[0];
-                                signal_covariance[1] = signal_covariance[1] - t59;
-                                const double t60 = t55 * signal_seen_0[1];
-                                signal_covariance[2] = signal_covariance[2] - t60;
-                                const double t61 = t56 * signal_seen_0[0];
-                                signal_covariance[3] = signal_covariance[3] - t61;
-                                const double t62 = t56 * signal_seen_0[1];
-                                signal_covariance[4] = signal_covariance[4] - t62;
-                                const double t63 = t56 * signal_seen_0[2];
-                                signal_covariance[5] = signal_covariance[5] - t63;
-                                const double t64 = t57 * signal_seen_0[0];
-                                signal_covariance[6] = signal_covariance[6] - t64;
-                                const double t65 = t57 * signal_seen_0[1];
-                                signal_covariance[7] = signal_covariance[7] - t65;
-                                const double t66 = t57 * signal_seen_0[2];
-                                signal_covariance[8] = signal_covariance[8] - t66;
-                                const double t67 = t57 * signal_seen_0[3];
-                                signal_covariance[9] = signal_covariance[9] - t67;
+                                replayed_state[i] = past_state[i + 32 - 4 * past];
+                            }
+                            for (int i = 0; i < 10; ++i)
+                            {
+                                replayed_covariance[i] = past_covariance[i + 80 - 10 * past];
                             }
                         }
                     }
-                    for (int b = 1; b < 9 - i; ++b)
+                    for (int q = 0; q < 4; ++q)
                     {
-                        const double t68 = replayed_age - ages[b];
-                        const double t69 = (past_delay[4 * b + 1] < (t68 + 0.5)) ? 1.0 : 0.0;
-                        const double t70 = ((t68 - 0.5) < past_delay[4 * b + 1]) ? 1.0 : 0.0;
-                        const double t71 = (t69 * t70) - 0.5;
-                        if (t71 > 0.0)
+                        const double t3 = (late_by[q] < (replayed_age + 0.5)) ? 1.0 : 0.0;
+                        const double t4 = t3 * (((replayed_age - 0.5) < late_by[q]) ? 1.0 : 0.0);
+                        const double t5 = (late_flag[q] * t4) - 0.5;
+                        if (t5 > 0.0)
                         {
-                            for (int there = 0; there < 1; ++there)
+                            for (int begun = 0; begun < 1; ++begun)
                             {
-                                replayed_cross_1[0] = replayed_covariance[1];
-                                replayed_cross_1[1] = replayed_covariance[2];
-                                replayed_cross_1[2] = replayed_covariance[4];
-                                replayed_cross_1[3] = replayed_covariance[7];
-                                replayed_pivot_1 = replayed_cross_1[1] + 1.0;
-                                if (!(replayed_pivot_1 > 0.0))
+                                late_row[0] = late_rows[4 * q];
+                                late_row[1] = late_rows[4 * q + 1];
+                                late_row[2] = late_rows[4 * q + 2];
+                                late_row[3] = late_rows[4 * q + 3];
+                                const double t6 = late_row[0] * replayed_state[0];
+                                const double t7 = t6 + (late_row[1] * replayed_state[1]);
+                                const double t8 = t7 + (late_row[2] * replayed_state[2]);
+                                const double t9 = t8 + (late_row[3] * replayed_state[3]);
+                                signal[q] = t9 + late_offsets[q];
+                                const double t10 = replayed_covariance[0] * late_row[0];
+                                const double t11 = t10 + (replayed_covariance[1] * late_row[1]);
+                                const double t12 = t11 + (replayed_covariance[3] * late_row[2]);
+                                signal_cross[4 * q] = t12 + (replayed_covariance[6] * late_row[3]);
+                                const double t13 = replayed_covariance[1] * late_row[0];
+                                const double t14 = t13 + (replayed_covariance[2] * late_row[1]);
+                                const double t15 = t14 + (replayed_covariance[4] * late_row[2]);
+                                const double t16 = t15 + (replayed_covariance[7] * late_row[3]);
+                                const double t17 = replayed_covariance[3] * late_row[0];
+                                const double t18 = t17 + (replayed_covariance[4] * late_row[1]);
+                                const double t19 = t18 + (replayed_covariance[5] * late_row[2]);
+                                const double t20 = t19 + (replayed_covariance[8] * late_row[3]);
+                                const double t21 = replayed_covariance[6] * late_row[0];
+                                const double t22 = t21 + (replayed_covariance[7] * late_row[1]);
+                                const double t23 = t22 + (replayed_covariance[8] * late_row[2]);
+                                const double t24 = t23 + (replayed_covariance[9] * late_row[3]);
+                                signal_cross[4 * q + 1] = t16;
+                                signal_cross[4 * q + 2] = t20;
+                                signal_cross[4 * q + 3] = t24;
+                                for (int j = 0; j < 4; ++j)
                                 {
-                                    return LATE_GPS_NOT_POSITIVE_DEFINITE;
+                                    const double t25 = signal_cross[4 * j] * late_row[0];
+                                    const double t26 = signal_cross[4 * j + 1] * late_row[1];
+                                    const double t27 = t25 + t26;
+                                    const double t28 = signal_cross[4 * j + 2] * late_row[2];
+                                    const double t29 = t27 + t28;
+                                    shared_signal = t29 + (signal_cross[4 * j + 3] * late_row[3]);
+                                    signal_own[j + 4 * q] = shared_signal;
+                                    signal_own[4 * j + q] = shared_signal;
                                 }
-                                replayed_inverse_1 = 1.0 / replayed_pivot_1;
-                                const double t72 = past_rows[4 * b + 1] - replayed_state[1];
-                                replayed_weight_1 = t72 * replayed_inverse_1;
-                                signal_seen_1[0] = signal_cross[1];
-                                signal_seen_1[1] = signal_cross[5];
-                                signal_seen_1[2] = signal_cross[9];
-                                signal_seen_1[3] = signal_cross[13];
-                                const double t73 = replayed_cross_1[0] * replayed_weight_1;
-                                replayed_state[0] = replayed_state[0] + t73;
-                                const double t74 = replayed_cross_1[1] * replayed_weight_1;
-                                replayed_state[1] = replayed_state[1] + t74;
-                                const double t75 = replayed_cross_1[2] * replayed_weight_1;
-                                replayed_state[2] = replayed_state[2] + t75;
-                                const double t76 = replayed_cross_1[3] * replayed_weight_1;
-                                replayed_state[3] = replayed_state[3] + t76;
-                                const double t77 = replayed_cross_1[0] * replayed_inverse_1;
-                                const double t78 = t77 * replayed_cross_1[0];
-                                replayed_covariance[0] = replayed_covariance[0] - t78;
-                                const double t79 = replayed_cross_1[1] * replayed_inverse_1;
-                                const double t80 = t79 * replayed_cross_1[0];
-                                replayed_covariance[1] = replayed_covariance[1] - t80;
-                                const double t81 = t79 * replayed_cross_1[1];
-                                replayed_covariance[2] = replayed_covariance[2] - t81;
-                                const double t82 = replayed_cross_1[2] * replayed_inverse_1;
-                                const double t83 = t82 * replayed_cross_1[0];
-                                replayed_covariance[3] = replayed_covariance[3] - t83;
-                                const double t84 = t82 * replayed_cross_1[1];
-                                replayed_covariance[4] = replayed_covariance[4] - t84;
-                                const double t85 = t82 * replayed_cross_1[2];
-                                replayed_covariance[5] = replayed_covariance[5] - t85;
-                                const double t86 = replayed_cross_1[3] * replayed_inverse_1;
-                                const double t87 = t86 * replayed_cross_1[0];
-                                replayed_covariance[6] = replayed_covariance[6] - t87;
-                                const double t88 = t86 * replayed_cross_1[1];
-                                replayed_covariance[7] = replayed_covariance[7] - t88;
-                                const double t89 = t86 * replayed_cross_1[2];
-                                replayed_covariance[8] = replayed_covariance[8] - t89;
-                                const double t90 = t86 * replayed_cross_1[3];
-                                replayed_covariance[9] = replayed_covariance[9] - t90;
-                                signal[0] = signal[0] + (signal_seen_1[0] * replayed_weight_1);
-                                signal[1] = signal[1] + (signal_seen_1[1] * replayed_weight_1);
-                                signal[2] = signal[2] + (signal_seen_1[2] * replayed_weight_1);
-                                signal[3] = signal[3] + (signal_seen_1[3] * replayed_weight_1);
-                                const double t91 = signal_seen_1[0] * replayed_inverse_1;
-                                signal_cross[0] = signal_cross[0] - (t91 * replayed_cross_1[0]);
-                                signal_cross[1] = signal_cross[1] - (t91 * replayed_cross_1[1]);
-                                signal_cross[2] = signal_cross[2] - (t91 * replayed_cross_1[2]);
-                                signal_cross[3] = signal_cross[3] - (t91 * replayed_cross_1[3]);
-                                const double t92 = signal_seen_1[1] * replayed_inverse_1;
-                                signal_cross[4] = signal_cross[4] - (t92 * replayed_cross_1[0]);
-                                signal_cross[5] = signal_cross[5] - (t92 * replayed_cross_1[1]);
-                                signal_cross[6] = signal_cross[6] - (t92 * replayed_cross_1[2]);
-                                signal_cross[7] = signal_cross[7] - (t92 * replayed_cross_1[3]);
-                                const double t93 = signal_seen_1[2] * replayed_inverse_1;
-                                signal_cross[8] = signal_cross[8] - (t93 * replayed_cross_1[0]);
-                                signal_cross[9] = signal_cross[9] - (t93 * replayed_cross_1[1]);
-                                signal_cross[10] = signal_cross[10] - (t93 * replayed_cross_1[2]);
-                                signal_cross[11] = signal_cross[11] - (t93 * replayed_cross_1[3]);
-                                const double t94 = signal_seen_1[3] * replayed_inverse_1;
-                                signal_cross[12] = signal_cross[12] - (t94 * replayed_cross_1[0]);
-                                signal_cross[13] = signal_cross[13] - (t94 * replayed_cross_1[1]);
-                                signal_cross[14] = signal_cross[14] - (t94 * replayed_cross_1[2]);
-                                signal_cross[15] = signal_cross[15] - (t94 * replayed_cross_1[3]);
-                                const double t95 = t91 * signal_seen_1[0];
-                                signal_covariance[0] = signal_covariance[0] - t95;
-                                const double t96 = t92 * signal_seen_1[0];
-                                signal_covariance[1] = signal_covariance[1] - t96;
-                                const double t97 = t92 * signal_seen_1[1];
-                                signal_covariance[2] = signal_covariance[2] - t97;
-                                const double t98 = t93 * signal_seen_1[0];
-                                signal_covariance[3] = signal_covariance[3] - t98;
-                                const double t99 = t93 * signal_seen_1[1];
-                                signal_covariance[4] = signal_covariance[4] - t99;
-                                const double t100 = t93 * signal_seen_1[2];
-                                signal_covariance[5] = signal_covariance[5] - t100;
-                                const double t101 = t94 * signal_seen_1[0];
-                                signal_covariance[6] = signal_covariance[6] - t101;
-                                const double t102 = t94 * signal_seen_1[1];
-                                signal_covariance[7] = signal_covariance[7] - t102;
-                                const double t103 = t94 * signal_seen_1[2];
-                                signal_covariance[8] = signal_covariance[8] - t103;
-                                const double t104 = t94 * signal_seen_1[3];
-                                signal_covariance[9] = signal_covariance[9] - t104;
                             }
                         }
                     }
-                    for (int b = 1; b < 9 - i; ++b)
+                    for (int b = 1; b < 9 - past; ++b)
                     {
-                        const double t105 = replayed_age - ages[b];
-                        const double t106 = (past_delay[4 * b + 2] < (t105 + 0.5)) ? 1.0 : 0.0;
-                        const double t107 = ((t105 - 0.5) < past_delay[4 * b + 2]) ? 1.0 : 0.0;
-                        const double t108 = (t106 * t107) - 0.5;
-                        if (t108 > 0.0)
+                        apart = replayed_age - ages[b];
+                        for (int row = 0; row < 4; ++row)
                         {
-                            for (int there = 0; there < 1; ++there)
+                            const double t30 = apart + 0.5;
+                            const double t31 = (past_delay[4 * b + row] < t30) ? 1.0 : 0.0;
+                            const double t32 = apart - 0.5;
+                            const double t33 = t31 * ((t32 < past_delay[4 * b + row]) ? 1.0 : 0.0);
+                            const double t34 = t33 - 0.5;
+                            if (t34 > 0.0)
                             {
-                                late_gps_copy(&replayed_covariance[3], replayed_cross_2, 3);
-                                replayed_cross_2[3] = replayed_covariance[8];
-                                replayed_pivot_2 = replayed_cross_2[2] + 0.09;
-                                if (!(replayed_pivot_2 > 0.0))
+                                for (int there = 0; there < 1; ++there)
                                 {
-                                    return LATE_GPS_NOT_POSITIVE_DEFINITE;
+                                    replayed_row[0] = late_rows[4 * row];
+                                    replayed_row[1] = late_rows[4 * row + 1];
+                                    replayed_row[2] = late_rows[4 * row + 2];
+                                    replayed_row[3] = late_rows[4 * row + 3];
+                                    const double t35 = replayed_covariance[0] * replayed_row[0];
+                                    const double t36 = replayed_covariance[1] * replayed_row[1];
+                                    const double t37 = t35 + t36;
+                                    const double t38 = replayed_covariance[3] * replayed_row[2];
+                                    const double t39 = t37 + t38;
+                                    const double t40 = replayed_covariance[6] * replayed_row[3];
+                                    replayed_cross[0] = t39 + t40;
+                                    const double t41 = replayed_covariance[1] * replayed_row[0];
+                                    const double t42 = replayed_covariance[2] * replayed_row[1];
+                                    const double t43 = t41 + t42;
+                                    const double t44 = replayed_covariance[4] * replayed_row[2];
+                                    const double t45 = t43 + t44;
+                                    const double t46 = replayed_covariance[7] * replayed_row[3];
+                                    replayed_cross[1] = t45 + t46;
+                                    const double t47 = replayed_covariance[3] * replayed_row[0];
+                                    const double t48 = replayed_covariance[4] * replayed_row[1];
+                                    const double t49 = t47 + t48;
+                                    const double t50 = replayed_covariance[5] * replayed_row[2];
+                                    const double t51 = t49 + t50;
+                                    const double t52 = replayed_covariance[8] * replayed_row[3];
+                                    replayed_cross[2] = t51 + t52;
+                                    const double t53 = replayed_covariance[6] * replayed_row[0];
+                                    const double t54 = replayed_covariance[7] * replayed_row[1];
+                                    const double t55 = t53 + t54;
+                                    const double t56 = replayed_covariance[8] * replayed_row[2];
+                                    const double t57 = t55 + t56;
+                                    const double t58 = replayed_covariance[9] * replayed_row[3];
+                                    replayed_cross[3] = t57 + t58;
+                                    const double t59 = replayed_row[0] * replayed_cross[0];
+                                    const double t60 = t59 + (replayed_row[1] * replayed_cross[1]);
+                                    const double t61 = t60 + (replayed_row[2] * replayed_cross[2]);
+                                    const double t62 = t61 + (replayed_row[3] * replayed_cross[3]);
+                                    replayed_pivot = t62 + replayed_noise[row];
+                                    if (!(replayed_pivot > 0.0))
+                                    {
+                                        return LATE_GPS_NOT_POSITIVE_DEFINITE;
+                                    }
+                                    replayed_inverse = 1.0 / replayed_pivot;
+                                    const double t63 = past_rows[4 * b + row] - late_offsets[row];
+                                    const double t64 = replayed_row[0] * replayed_state[0];
+                                    const double t65 = replayed_row[1] * replayed_state[1];
+                                    const double t66 = t64 + t65;
+                                    const double t67 = replayed_row[2] * replayed_state[2];
+                                    const double t68 = t66 + t67;
+                                    const double t69 = replayed_row[3] * replayed_state[3];
+                                    replayed_weight = (t63 - (t68 + t69)) * replayed_inverse;
+                                    const double t70 = replayed_cross[0] * replayed_weight;
+                                    replayed_state[0] = replayed_state[0] + t70;
+                                    const double t71 = replayed_cross[1] * replayed_weight;
+                                    replayed_state[1] = replayed_state[1] + t71;
+                                    const double t72 = replayed_cross[2] * replayed_weight;
+                                    replayed_state[2] = replayed_state[2] + t72;
+                                    const double t73 = replayed_cross[3] * replayed_weight;
+                                    replayed_state[3] = replayed_state[3] + t73;
+                                    const double t74 = replayed_cross[0] * replayed_inverse;
+                                    const double t75 = t74 * replayed_cross[0];
+                                    replayed_covariance[0] = replayed_covariance[0] - t75;
+                                    const double t76 = replayed_cross[1] * replayed_inverse;
+                                    const double t77 = t76 * replayed_cross[0];
+                                    replayed_covariance[1] = replayed_covariance[1] - t77;
+                                    const double t78 = t76 * replayed_cross[1];
+                                    replayed_covariance[2] = replayed_covariance[2] - t78;
+                                    const double t79 = replayed_cross[2] * replayed_inverse;
+                                    const double t80 = t79 * replayed_cross[0];
+                                    replayed_covariance[3] = replayed_covariance[3] - t80;
+                                    const double t81 = t79 * replayed_cross[1];
+                                    replayed_covariance[4] = replayed_covariance[4] - t81;
+                                    const double t82 = t79 * replayed_cross[2];
+                                    replayed_covariance[5] = replayed_covariance[5] - t82;
+                                    const double t83 = replayed_cross[3] * replayed_inverse;
+                                    const double t84 = t83 * replayed_cross[0];
+                                    replayed_covariance[6] = replayed_covariance[6] - t84;
+                                    const double t85 = t83 * replayed_cross[1];
+                                    replayed_covariance[7] = replayed_covariance[7] - t85;
+                                    const double t86 = t83 * replayed_cross[2];
+                                    replayed_covariance[8] = replayed_covariance[8] - t86;
+                                    const double t87 = t83 * replayed_cross[3];
+                                    replayed_covariance[9] = replayed_covariance[9] - t87;
+                                    for (int q = 0; q < 4; ++q)
+                                    {
+                                        const double t88 = signal_cross[4 * q] * replayed_row[0];
+                                        const double t89 = signal_cross[4 * q +
+                                            1] * replayed_row[1];
+                                        const double t90 = t88 + t89;
+                                        const double t91 = signal_cross[4 * q +
+                                            2] * replayed_row[2];
+                                        const double t92 = t90 + t91;
+                                        const double t93 = signal_cross[4 * q +
+                                            3] * replayed_row[3];
+                                        signal_seen[q] = t92 + t93;
+                                    }
+                                    for (int q = 0; q < 4; ++q)
+                                    {
+                                        signal_gain = signal_seen[q] * replayed_inverse;
+                                        signal[q] = signal[q] + (signal_seen[q] * replayed_weight);
+                                        const double t94 = signal_gain * replayed_cross[0];
+                                        const double t95 = signal_cross[4 * q] - t94;
+                                        const double t96 = signal_gain * replayed_cross[1];
+                                        const double t97 = signal_cross[4 * q + 1] - t96;
+                                        const double t98 = signal_gain * replayed_cross[2];
+                                        const double t99 = signal_cross[4 * q + 2] - t98;
+                                        const double t100 = signal_gain * replayed_cross[3];
+                                        const double t101 = signal_cross[4 * q + 3] - t100;
+                                        signal_cross[4 * q] = t95;
+                                        signal_cross[4 * q + 1] = t97;
+                                        signal_cross[4 * q + 2] = t99;
+                                        signal_cross[4 * q + 3] = t101;
+                                        for (int j = 0; j < 4; ++j)
+                                        {
+                                            const double t102 = signal_gain * signal_seen[j];
+                                            signal_own[j + 4 * q] = signal_own[j + 4 * q] - t102;
+                                        }
+                                    }
                                 }
-                                replayed_inverse_2 = 1.0 / replayed_pivot_2;
-                                const double t109 = past_rows[4 * b + 2] - replayed_state[2];
-                                replayed_weight_2 = t109 * replayed_inverse_2;
-                                signal_seen_2[0] = signal_cross[2];
-                                signal_seen_2[1] = signal_cross[6];
-                                signal_seen_2[2] = signal_cross[10];
-                                signal_seen_2[3] = signal_cross[14];
-                                const double t110 = replayed_cross_2[0] * replayed_weight_2;
-                                replayed_state[0] = replayed_state[0] + t110;
-                                const double t111 = replayed_cross_2[1] * replayed_weight_2;
-                                replayed_state[1] = replayed_state[1] + t111;
-                                const double t112 = replayed_cross_2[2] * replayed_weight_2;
-                                replayed_state[2] = replayed_state[2] + t112;
-                                const double t113 = replayed_cross_2[3] * replayed_weight_2;
-                                replayed_state[3] = replayed_state[3] + t113;
-                                const double t114 = replayed_cross_2[0] * replayed_inverse_2;
-                                const double t115 = t114 * replayed_cross_2[0];
-                                replayed_covariance[0] = replayed_covariance[0] - t115;
-                                const double t116 = replayed_cross_2[1] * replayed_inverse_2;
-                                const double t117 = t116 * replayed_cross_2[0];
-                                replayed_covariance[1] = replayed_covariance[1] - t117;
-                                const double t118 = t116 * replayed_cross_2[1];
-                                replayed_covariance[2] = replayed_covariance[2] - t118;
-                                const double t119 = replayed_cross_2[2] * replayed_inverse_2;
-                                const double t120 = t119 * replayed_cross_2[0];
-                                replayed_covariance[3] = replayed_covariance[3] - t120;
-                                const double t121 = t119 * replayed_cross_2[1];
-                                replayed_covariance[4] = replayed_covariance[4] - t121;
-                                const double t122 = t119 * replayed_cross_2[2];
-                                replayed_covariance[5] = replayed_covariance[5] - t122;
-                                const double t123 = replayed_cross_2[3] * replayed_inverse_2;
-                                const double t124 = t123 * replayed_cross_2[0];
-                                replayed_covariance[6] = replayed_covariance[6] - t124;
-                                const double t125 = t123 * replayed_cross_2[1];
-                                replayed_covariance[7] = replayed_covariance[7] - t125;
-                                const double t126 = t123 * replayed_cross_2[2];
-                                replayed_covariance[8] = replayed_covariance[8] - t126;
-                                const double t127 = t123 * replayed_cross_2[3];
-                                replayed_covariance[9] = replayed_covariance[9] - t127;
-                                signal[0] = signal[0] + (signal_seen_2[0] * replayed_weight_2);
-                                signal[1] = signal[1] + (signal_seen_2[1] * replayed_weight_2);
-                                signal[2] = signal[2] + (signal_seen_2[2] * replayed_weight_2);
-                                signal[3] = signal[3] + (signal_seen_2[3] * replayed_weight_2);
-                                const double t128 = signal_seen_2[0] * replayed_inverse_2;
-                                signal_cross[0] = signal_cross[0] - (t128 * replayed_cross_2[0]);
-                                signal_cross[1] = signal_cross[1] - (t128 * replayed_cross_2[1]);
-                                signal_cross[2] = signal_cross[2] - (t128 * replayed_cross_2[2]);
-                                signal_cross[3] = signal_cross[3] - (t128 * replayed_cross_2[3]);
-                                const double t129 = signal_seen_2[1] * replayed_inverse_2;
-                                signal_cross[4] = signal_cross[4] - (t129 * replayed_cross_2[0]);
-                                signal_cross[5] = signal_cross[5] - (t129 * replayed_cross_2[1]);
-                                signal_cross[6] = signal_cross[6] - (t129 * replayed_cross_2[2]);
-                                signal_cross[7] = signal_cross[7] - (t129 * replayed_cross_2[3]);
-                                const double t130 = signal_seen_2[2] * replayed_inverse_2;
-                                signal_cross[8] = signal_cross[8] - (t130 * replayed_cross_2[0]);
-                                signal_cross[9] = signal_cross[9] - (t130 * replayed_cross_2[1]);
-                                signal_cross[10] = signal_cross[10] - (t130 * replayed_cross_2[2]);
-                                signal_cross[11] = signal_cross[11] - (t130 * replayed_cross_2[3]);
-                                const double t131 = signal_seen_2[3] * replayed_inverse_2;
-                                signal_cross[12] = signal_cross[12] - (t131 * replayed_cross_2[0]);
-                                signal_cross[13] = signal_cross[13] - (t131 * replayed_cross_2[1]);
-                                signal_cross[14] = signal_cross[14] - (t131 * replayed_cross_2[2]);
-                                signal_cross[15] = signal_cross[15] - (t131 * replayed_cross_2[3]);
-                                const double t132 = t128 * signal_seen_2[0];
-                                signal_covariance[0] = signal_covariance[0] - t132;
-                                const double t133 = t129 * signal_seen_2[0];
-                                signal_covariance[1] = signal_covariance[1] - t133;
-                                const double t134 = t129 * signal_seen_2[1];
-                                signal_covariance[2] = signal_covariance[2] - t134;
-                                const double t135 = t130 * signal_seen_2[0];
-                                signal_covariance[3] = signal_covariance[3] - t135;
-                                const double t136 = t130 * signal_seen_2[1];
-                                signal_covariance[4] = signal_covariance[4] - t136;
-                                const double t137 = t130 * signal_seen_2[2];
-                                signal_covariance[5] = signal_covariance[5] - t137;
-                                const double t138 = t131 * signal_seen_2[0];
-                                signal_covariance[6] = signal_covariance[6] - t138;
-                                const double t139 = t131 * signal_seen_2[1];
-                                signal_covariance[7] = signal_covariance[7] - t139;
-                                const double t140 = t131 * signal_seen_2[2];
-                                signal_covariance[8] = signal_covariance[8] - t140;
-                                const double t141 = t131 * signal_seen_2[3];
-                                signal_covariance[9] = signal_covariance[9] - t141;
                             }
                         }
                     }
-                    for (int b = 1; b < 9 - i; ++b)
+                    for (int q = 0; q < 4; ++q)
                     {
-                        const double t142 = replayed_age - ages[b];
-                        const double t143 = (past_delay[4 * b + 3] < (t142 + 0.5)) ? 1.0 : 0.0;
-                        const double t144 = ((t142 - 0.5) < past_delay[4 * b + 3]) ? 1.0 : 0.0;
-                        const double t145 = (t143 * t144) - 0.5;
-                        if (t145 > 0.0)
-                        {
-                            for (int there = 0; there < 1; ++there)
-                            {
-                                late_gps_copy(&replayed_covariance[6], replayed_cross_3, 4);
-                                replayed_pivot_3 = replayed_cross_3[3] + 0.09;
-                                if (!(replayed_pivot_3 > 0.0))
-                                {
-                                    return LATE_GPS_NOT_POSITIVE_DEFINITE;
-                                }
-                                replayed_inverse_3 = 1.0 / replayed_pivot_3;
-                                const double t146 = past_rows[4 * b + 3] - replayed_state[3];
-                                replayed_weight_3 = t146 * replayed_inverse_3;
-                                signal_seen_3[0] = signal_cross[3];
-                                signal_seen_3[1] = signal_cross[7];
-                                signal_seen_3[2] = signal_cross[11];
-                                signal_seen_3[3] = signal_cross[15];
-                                const double t147 = replayed_cross_3[0] * replayed_weight_3;
-                                replayed_state[0] = replayed_state[0] + t147;
-                                const double t148 = replayed_cross_3[1] * replayed_weight_3;
-                                replayed_state[1] = replayed_state[1] + t148;
-                                const double t149 = replayed_cross_3[2] * replayed_weight_3;
-                                replayed_state[2] = replayed_state[2] + t149;
-                                const double t150 = replayed_cross_3[3] * replayed_weight_3;
-                                replayed_state[3] = replayed_state[3] + t150;
-                                const double t151 = replayed_cross_3[0] * replayed_inverse_3;
-                                const double t152 = t151 * replayed_cross_3[0];
-                                replayed_covariance[0] = replayed_covariance[0] - t152;
-                                const double t153 = replayed_cross_3[1] * replayed_inverse_3;
-                                const double t154 = t153 * replayed_cross_3[0];
-                                replayed_covariance[1] = replayed_covariance[1] - t154;
-                                const double t155 = t153 * replayed_cross_3[1];
-                                replayed_covariance[2] = replayed_covariance[2] - t155;
-                                const double t156 = replayed_cross_3[2] * replayed_inverse_3;
-                                const double t157 = t156 * replayed_cross_3[0];
-                                replayed_covariance[3] = replayed_covariance[3] - t157;
-                                const double t158 = t156 * replayed_cross_3[1];
-                                replayed_covariance[4] = replayed_covariance[4] - t158;
-                                const double t159 = t156 * replayed_cross_3[2];
-                                replayed_covariance[5] = replayed_covariance[5] - t159;
-                                const double t160 = replayed_cross_3[3] * replayed_inverse_3;
-                                const double t161 = t160 * replayed_cross_3[0];
-                                replayed_covariance[6] = replayed_covariance[6] - t161;
-                                const double t162 = t160 * replayed_cross_3[1];
-                                replayed_covariance[7] = replayed_covariance[7] - t162;
-                                const double t163 = t160 * replayed_cross_3[2];
-                                replayed_covariance[8] = replayed_covariance[8] - t163;
-                                const double t164 = t160 * replayed_cross_3[3];
-                                replayed_covariance[9] = replayed_covariance[9] - t164;
-                                signal[0] = signal[0] + (signal_seen_3[0] * replayed_weight_3);
-                                signal[1] = signal[1] + (signal_seen_3[1] * replayed_weight_3);
-                                signal[2] = signal[2] + (signal_seen_3[2] * replayed_weight_3);
-                                signal[3] = signal[3] + (signal_seen_3[3] * replayed_weight_3);
-                                const double t165 = signal_seen_3[0] * replayed_inverse_3;
-                                signal_cross[0] = signal_cross[0] - (t165 * replayed_cross_3[0]);
-                                signal_cross[1] = signal_cross[1] - (t165 * replayed_cross_3[1]);
-                                signal_cross[2] = signal_cross[2] - (t165 * replayed_cross_3[2]);
-                                signal_cross[3] = signal_cross[3] - (t165 * replayed_cross_3[3]);
-                                const double t166 = signal_seen_3[1] * replayed_inverse_3;
-                                signal_cross[4] = signal_cross[4] - (t166 * replayed_cross_3[0]);
-                                signal_cross[5] = signal_cross[5] - (t166 * replayed_cross_3[1]);
-                                signal_cross[6] = signal_cross[6] - (t166 * replayed_cross_3[2]);
-                                signal_cross[7] = signal_cross[7] - (t166 * replayed_cross_3[3]);
-                                const double t167 = signal_seen_3[2] * replayed_inverse_3;
-                                signal_cross[8] = signal_cross[8] - (t167 * replayed_cross_3[0]);
-                                signal_cross[9] = signal_cross[9] - (t167 * replayed_cross_3[1]);
-                                signal_cross[10] = signal_cross[10] - (t167 * replayed_cross_3[2]);
-                                signal_cross[11] = signal_cross[11] - (t167 * replayed_cross_3[3]);
-                                const double t168 = signal_seen_3[3] * replayed_inverse_3;
-                                signal_cross[12] = signal_cross[12] - (t168 * replayed_cross_3[0]);
-                                signal_cross[13] = signal_cross[13] - (t168 * replayed_cross_3[1]);
-                                signal_cross[14] = signal_cross[14] - (t168 * replayed_cross_3[2]);
-                                signal_cross[15] = signal_cross[15] - (t168 * replayed_cross_3[3]);
-                                const double t169 = t165 * signal_seen_3[0];
-                                signal_covariance[0] = signal_covariance[0] - t169;
-                                const double t170 = t166 * signal_seen_3[0];
-                                signal_covariance[1] = signal_covariance[1] - t170;
-                                const double t171 = t166 * signal_seen_3[1];
-                                signal_covariance[2] = signal_covariance[2] - t171;
-                                const double t172 = t167 * signal_seen_3[0];
-                                signal_covariance[3] = signal_covariance[3] - t172;
-                                const double t173 = t167 * signal_seen_3[1];
-                                signal_covariance[4] = signal_covariance[4] - t173;
-                                const double t174 = t167 * signal_seen_3[2];
-                                signal_covariance[5] = signal_covariance[5] - t174;
-                                const double t175 = t168 * signal_seen_3[0];
-                                signal_covariance[6] = signal_covariance[6] - t175;
-                                const double t176 = t168 * signal_seen_3[1];
-                                signal_covariance[7] = signal_covariance[7] - t176;
-                                const double t177 = t168 * signal_seen_3[2];
-                                signal_covariance[8] = signal_covariance[8] - t177;
-                                const double t178 = t168 * signal_seen_3[3];
-                                signal_covariance[9] = signal_covariance[9] - t178;
-                            }
-                        }
+                        signal_row[0] = signal_cross[4 * q];
+                        signal_row[1] = signal_cross[4 * q + 1];
+                        signal_row[2] = signal_cross[4 * q + 2];
+                        signal_row[3] = signal_cross[4 * q + 3];
+                        const double t103 = past_parameters[8 - past] * signal_row[2];
+                        signal_cross[4 * q] = signal_row[0] + t103;
+                        const double t104 = past_parameters[8 - past] * signal_row[3];
+                        signal_cross[4 * q + 1] = signal_row[1] + t104;
+                        signal_cross[4 * q + 2] = signal_row[2];
+                        signal_cross[4 * q + 3] = signal_row[3];
                     }
-                    signal_cross[0] = signal_cross[0] + (signal_cross[2] * past_parameters[8 - i]);
-                    signal_cross[1] = signal_cross[1] + (signal_cross[3] * past_parameters[8 - i]);
-                    signal_cross[4] = signal_cross[4] + (signal_cross[6] * past_parameters[8 - i]);
-                    signal_cross[5] = signal_cross[5] + (signal_cross[7] * past_parameters[8 - i]);
-                    signal_cross[8] = signal_cross[8] + (signal_cross[10] * past_parameters[8 - i]);
-                    signal_cross[9] = signal_cross[9] + (signal_cross[11] * past_parameters[8 - i]);
-                    const double t179 = signal_cross[14] * past_parameters[8 - i];
-                    signal_cross[12] = signal_cross[12] + t179;
-                    const double t180 = signal_cross[15] * past_parameters[8 - i];
-                    signal_cross[13] = signal_cross[13] + t180;
-                    replayed_state[0] = past_state[28 - 4 * i];
-                    replayed_state[1] = past_state[29 - 4 * i];
-                    replayed_state[2] = past_state[30 - 4 * i];
-                    replayed_state[3] = past_state[31 - 4 * i];
-                    replayed_covariance[0] = past_covariance[70 - 10 * i];
-                    replayed_covariance[1] = past_covariance[71 - 10 * i];
-                    replayed_covariance[2] = past_covariance[72 - 10 * i];
-                    replayed_covariance[3] = past_covariance[73 - 10 * i];
-                    replayed_covariance[4] = past_covariance[74 - 10 * i];
-                    replayed_covariance[5] = past_covariance[75 - 10 * i];
-                    replayed_covariance[6] = past_covariance[76 - 10 * i];
-                    replayed_covariance[7] = past_covariance[77 - 10 * i];
-                    replayed_covariance[8] = past_covariance[78 - 10 * i];
-                    replayed_covariance[9] = past_covariance[79 - 10 * i];
+                    for (int i = 0; i < 4; ++i)
+                    {
+                        replayed_state[i] = past_state[i + 28 - 4 * past];
+                    }
+                    for (int i = 0; i < 10; ++i)
+                    {
+                        replayed_covariance[i] = past_covariance[i + 70 - 10 * past];
+                    }
                     late_gps_copy(replayed_state, revised_state, 4);
                     late_gps_copy(replayed_covariance, revised_covariance, 10);
-                    late_gps_copy(signal, revised_signal, 4);
+                    late_gps_copy(signal, revised, 4);
                     late_gps_copy(signal_cross, revised_cross, 16);
-                    late_gps_copy(signal_covariance, revised_own, 10);
-                    const double t181 = late_0 * ((params->delay_gps_east - replayed_age) + 0.5);
-                    if (t181 > 0.0)
+                    late_gps_copy(signal_own, revised_own, 16);
+                    for (int q = 0; q < 4; ++q)
                     {
-                        for (int older = 0; older < 1; ++older)
+                        const double t105 = late_flag[q] * ((late_by[q] - replayed_age) + 0.5);
+                        if (t105 > 0.0)
                         {
-                            late_pivot_0 = revised_own[0] + 1.0;
-                            if (!(late_pivot_0 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-                            late_inverse_0 = 1.0 / late_pivot_0;
-                            late_weight_0 = (row_0 - revised_signal[0]) * late_inverse_0;
-                            const double t182 = revised_cross[0] * late_weight_0;
-                            revised_state[0] = revised_state[0] + t182;
-                            const double t183 = revised_cross[1] * late_weight_0;
-                            revised_state[1] = revised_state[1] + t183;
-                            const double t184 = revised_cross[2] * late_weight_0;
-                            revised_state[2] = revised_state[2] + t184;
-                            const double t185 = revised_cross[3] * late_weight_0;
-                            revised_state[3] = revised_state[3] + t185;
-                            const double t186 = revised_cross[0] * late_inverse_0;
-                            const double t187 = t186 * revised_cross[0];
-                            revised_covariance[0] = revised_covariance[0] - t187;
-                            const double t188 = revised_cross[1] * late_inverse_0;
-                            const double t189 = t188 * revised_cross[0];
-                            revised_covariance[1] = revised_covariance[1] - t189;
-                            const double t190 = t188 * revised_cross[1];
-                            revised_covariance[2] = revised_covariance[2] - t190;
-                            const double t191 = revised_cross[2] * late_inverse_0;
-                            const double t192 = t191 * revised_cross[0];
-                            revised_covariance[3] = revised_covariance[3] - t192;
-                            const double t193 = t191 * revised_cross[1];
-                            revised_covariance[4] = revised_covariance[4] - t193;
-                            const double t194 = t191 * revised_cross[2];
-                            revised_covariance[5] = revised_covariance[5] - t194;
-                            const double t195 = revised_cross[3] * late_inverse_0;
-                            const double t196 = t195 * revised_cross[0];
-                            revised_covariance[6] = revised_covariance[6] - t196;
-                            const double t197 = t195 * revised_cross[1];
-                            revised_covariance[7] = revised_covariance[7] - t197;
-                            const double t198 = t195 * revised_cross[2];
-                            revised_covariance[8] = revised_covariance[8] - t198;
-                            const double t199 = t195 * revised_cross[3];
-                            revised_covariance[9] = revised_covariance[9] - t199;
-                            const double t200 = revised_own[0] * late_weight_0;
-                            revised_signal[0] = revised_signal[0] + t200;
-                            const double t201 = revised_own[1] * late_weight_0;
-                            revised_signal[1] = revised_signal[1] + t201;
-                            const double t202 = revised_own[3] * late_weight_0;
-                            revised_signal[2] = revised_signal[2] + t202;
-                            const double t203 = revised_own[6] * late_weight_0;
-                            revised_signal[3] = revised_signal[3] + t203;
-                            const double t204 = revised_own[0] * late_inverse_0;
-                            const double t205 = revised_cross[0] - (t204 * revised_cross[0]);
-                            const double t206 = revised_cross[1] - (t204 * revised_cross[1]);
-                            const double t207 = revised_cross[2] - (t204 * revised_cross[2]);
-                            const double t208 = revised_cross[3] - (t204 * revised_cross[3]);
-                            const double t209 = revised_own[1] * late_inverse_0;
-                            revised_cross[4] = revised_cross[4] - (t209 * revised_cross[0]);
-                            revised_cross[5] = revised_cross[5] - (t209 * revised_cross[1]);
-                            revised_cross[6] = revised_cross[6] - (t209 * revised_cross[2]);
-                            revised_cross[7] = revised_cross[7] - (t209 * revised_cross[3]);
-                            const double t210 = revised_own[3] * late_inverse_0;
-                            revised_cross[8] = revised_cross[8] - (t210 * revised_cross[0]);
-                            revised_cross[9] = revised_cross[9] - (t210 * revised_cross[1]);
-                            revised_cross[10] = revised_cross[10] - (t210 * revised_cross[2]);
-                            revised_cross[11] = revised_cross[11] - (t210 * revised_cross[3]);
-                            const double t211 = revised_own[6] * late_inverse_0;
-                            revised_cross[12] = revised_cross[12] - (t211 * revised_cross[0]);
-                            revised_cross[13] = revised_cross[13] - (t211 * revised_cross[1]);
-                            revised_cross[14] = revised_cross[14] - (t211 * revised_cross[2]);
-                            revised_cross[15] = revised_cross[15] - (t211 * revised_cross[3]);
-                            const double t212 = revised_own[0] * late_inverse_0 * revised_own[0];
-                            const double t213 = revised_own[0] - t212;
-                            const double t214 = revised_own[1] * late_inverse_0;
-                            const double t215 = revised_own[1] - (t214 * revised_own[0]);
-                            revised_own[2] = revised_own[2] - (t214 * revised_own[1]);
-                            const double t216 = revised_own[3] * late_inverse_0;
-                            const double t217 = revised_own[3] - (t216 * revised_own[0]);
-                            revised_own[4] = revised_own[4] - (t216 * revised_own[1]);
-                            revised_own[5] = revised_own[5] - (t216 * revised_own[3]);
-                            const double t218 = revised_own[6] * late_inverse_0;
-                            const double t219 = revised_own[6] - (t218 * revised_own[0]);
-                            revised_own[7] = revised_own[7] - (t218 * revised_own[1]);
-                            revised_own[8] = revised_own[8] - (t218 * revised_own[3]);
-                            revised_own[9] = revised_own[9] - (t218 * revised_own[6]);
-                            revised_cross[0] = t205;
-                            revised_cross[1] = t206;
-                            revised_cross[2] = t207;
-                            revised_cross[3] = t208;
-                            revised_own[0] = t213;
-                            revised_own[1] = t215;
-                            revised_own[3] = t217;
-                            revised_own[6] = t219;
+                            for (int older = 0; older < 1; ++older)
+                            {
+                                for (int j = 0; j < 4; ++j)
+                                {
+                                    late_shared[j] = revised_own[j + 4 * q];
+                                }
+                                late_pivot = revised_own[5 * q] + late_noise[q];
+                                if (!(late_pivot > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+                                late_inverse = 1.0 / late_pivot;
+                                late_news = late_seen[q] - revised[q];
+                                for (int a = 0; a < 4; ++a)
+                                {
+                                    late_gain = late_shared[a] * late_inverse;
+                                    revised[a] = revised[a] + (late_gain * late_news);
+                                    for (int j = 0; j < 4; ++j)
+                                    {
+                                        const double t106 = late_gain * late_shared[j];
+                                        revised_own[4 * a + j] = revised_own[4 * a + j] - t106;
+                                    }
+                                }
+                                late_weight = late_news * late_inverse;
+                                late_cross[0] = revised_cross[4 * q];
+                                late_cross[1] = revised_cross[4 * q + 1];
+                                late_cross[2] = revised_cross[4 * q + 2];
+                                late_cross[3] = revised_cross[4 * q + 3];
+                                revised_state[0] = revised_state[0] + (late_cross[0] * late_weight);
+                                revised_state[1] = revised_state[1] + (late_cross[1] * late_weight);
+                                revised_state[2] = revised_state[2] + (late_cross[2] * late_weight);
+                                revised_state[3] = revised_state[3] + (late_cross[3] * late_weight);
+                                const double t107 = late_cross[0] * late_inverse * late_cross[0];
+                                revised_covariance[0] = revised_covariance[0] - t107;
+                                const double t108 = late_cross[1] * late_inverse;
+                                const double t109 = t108 * late_cross[0];
+                                revised_covariance[1] = revised_covariance[1] - t109;
+                                const double t110 = t108 * late_cross[1];
+                                revised_covariance[2] = revised_covariance[2] - t110;
+                                const double t111 = late_cross[2] * late_inverse;
+                                const double t112 = t111 * late_cross[0];
+                                revised_covariance[3] = revised_covariance[3] - t112;
+                                const double t113 = t111 * late_cross[1];
+                                revised_covariance[4] = revised_covariance[4] - t113;
+                                const double t114 = t111 * late_cross[2];
+                                revised_covariance[5] = revised_covariance[5] - t114;
+                                const double t115 = late_cross[3] * late_inverse;
+                                const double t116 = t115 * late_cross[0];
+                                revised_covariance[6] = revised_covariance[6] - t116;
+                                const double t117 = t115 * late_cross[1];
+                                revised_covariance[7] = revised_covariance[7] - t117;
+                                const double t118 = t115 * late_cross[2];
+                                revised_covariance[8] = revised_covariance[8] - t118;
+                                const double t119 = t115 * late_cross[3];
+                                revised_covariance[9] = revised_covariance[9] - t119;
+                                for (int j = 0; j < 4; ++j)
+                                {
+                                    late_share = late_shared[j] * late_inverse;
+                                    const double t120 = late_share * late_cross[0];
+                                    const double t121 = revised_cross[4 * j] - t120;
+                                    const double t122 = late_share * late_cross[1];
+                                    const double t123 = revised_cross[4 * j + 1] - t122;
+                                    const double t124 = late_share * late_cross[2];
+                                    const double t125 = revised_cross[4 * j + 2] - t124;
+                                    const double t126 = late_share * late_cross[3];
+                                    const double t127 = revised_cross[4 * j + 3] - t126;
+                                    revised_cross[4 * j] = t121;
+                                    revised_cross[4 * j + 1] = t123;
+                                    revised_cross[4 * j + 2] = t125;
+                                    revised_cross[4 * j + 3] = t127;
+                                }
+                            }
                         }
                     }
-                    const double t220 = late_1 * ((params->delay_gps_north - replayed_age) + 0.5);
-                    if (t220 > 0.0)
+                    for (int i = 0; i < 4; ++i)
                     {
-                        for (int older = 0; older < 1; ++older)
+                        if (!late_gps_finite(late_gps_defect(revised_state[i])))
                         {
-                            late_pivot_1 = revised_own[2] + 1.0;
-                            if (!(late_pivot_1 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-                            late_inverse_1 = 1.0 / late_pivot_1;
-                            late_weight_1 = (row_1 - revised_signal[1]) * late_inverse_1;
-                            const double t221 = revised_cross[4] * late_weight_1;
-                            revised_state[0] = revised_state[0] + t221;
-                            const double t222 = revised_cross[5] * late_weight_1;
-                            revised_state[1] = revised_state[1] + t222;
-                            const double t223 = revised_cross[6] * late_weight_1;
-                            revised_state[2] = revised_state[2] + t223;
-                            const double t224 = revised_cross[7] * late_weight_1;
-                            revised_state[3] = revised_state[3] + t224;
-                            const double t225 = revised_cross[4] * late_inverse_1;
-                            const double t226 = t225 * revised_cross[4];
-                            revised_covariance[0] = revised_covariance[0] - t226;
-                            const double t227 = revised_cross[5] * late_inverse_1;
-                            const double t228 = t227 * revised_cross[4];
-                            revised_covariance[1] = revised_covariance[1] - t228;
-                            const double t229 = t227 * revised_cross[5];
-                            revised_covariance[2] = revised_covariance[2] - t229;
-                            const double t230 = revised_cross[6] * late_inverse_1;
-                            const double t231 = t230 * revised_cross[4];
-                            revised_covariance[3] = revised_covariance[3] - t231;
-                            const double t232 = t230 * revised_cross[5];
-                            revised_covariance[4] = revised_covariance[4] - t232;
-                            const double t233 = t230 * revised_cross[6];
-                            revised_covariance[5] = revised_covariance[5] - t233;
-                            const double t234 = revised_cross[7] * late_inverse_1;
-                            const double t235 = t234 * revised_cross[4];
-                            revised_covariance[6] = revised_covariance[6] - t235;
-                            const double t236 = t234 * revised_cross[5];
-                            revised_covariance[7] = revised_covariance[7] - t236;
-                            const double t237 = t234 * revised_cross[6];
-                            revised_covariance[8] = revised_covariance[8] - t237;
-                            const double t238 = t234 * revised_cross[7];
-                            revised_covariance[9] = revised_covariance[9] - t238;
-                            const double t239 = revised_own[1] * late_weight_1;
-                            revised_signal[0] = revised_signal[0] + t239;
-                            const double t240 = revised_own[2] * late_weight_1;
-                            revised_signal[1] = revised_signal[1] + t240;
-                            const double t241 = revised_own[4] * late_weight_1;
-                            revised_signal[2] = revised_signal[2] + t241;
-                            const double t242 = revised_own[7] * late_weight_1;
-                            revised_signal[3] = revised_signal[3] + t242;
-                            const double t243 = revised_own[1] * late_inverse_1;
-                            revised_cross[0] = revised_cross[0] - (t243 * revised_cross[4]);
-                            revised_cross[1] = revised_cross[1] - (t243 * revised_cross[5]);
-                            revised_cross[2] = revised_cross[2] - (t243 * revised_cross[6]);
-                            revised_cross[3] = revised_cross[3] - (t243 * revised_cross[7]);
-                            const double t244 = revised_own[2] * late_inverse_1;
-                            const double t245 = revised_cross[4] - (t244 * revised_cross[4]);
-                            const double t246 = revised_cross[5] - (t244 * revised_cross[5]);
-                            const double t247 = revised_cross[6] - (t244 * revised_cross[6]);
-                            const double t248 = revised_cross[7] - (t244 * revised_cross[7]);
-                            const double t249 = revised_own[4] * late_inverse_1;
-                            revised_cross[8] = revised_cross[8] - (t249 * revised_cross[4]);
-                            revised_cross[9] = revised_cross[9] - (t249 * revised_cross[5]);
-                            revised_cross[10] = revised_cross[10] - (t249 * revised_cross[6]);
-                            revised_cross[11] = revised_cross[11] - (t249 * revised_cross[7]);
-                            const double t250 = revised_own[7] * late_inverse_1;
-                            revised_cross[12] = revised_cross[12] - (t250 * revised_cross[4]);
-                            revised_cross[13] = revised_cross[13] - (t250 * revised_cross[5]);
-                            revised_cross[14] = revised_cross[14] - (t250 * revised_cross[6]);
-                            revised_cross[15] = revised_cross[15] - (t250 * revised_cross[7]);
-                            const double t251 = revised_own[1] * late_inverse_1 * revised_own[1];
-                            revised_own[0] = revised_own[0] - t251;
-                            const double t252 = revised_own[2] * late_inverse_1;
-                            const double t253 = revised_own[1] - (t252 * revised_own[1]);
-                            const double t254 = revised_own[2] - (t252 * revised_own[2]);
-                            const double t255 = revised_own[4] * late_inverse_1;
-                            revised_own[3] = revised_own[3] - (t255 * revised_own[1]);
-                            const double t256 = revised_own[4] - (t255 * revised_own[2]);
-                            revised_own[5] = revised_own[5] - (t255 * revised_own[4]);
-                            const double t257 = revised_own[7] * late_inverse_1;
-                            revised_own[6] = revised_own[6] - (t257 * revised_own[1]);
-                            const double t258 = revised_own[7] - (t257 * revised_own[2]);
-                            revised_own[8] = revised_own[8] - (t257 * revised_own[4]);
-                            revised_own[9] = revised_own[9] - (t257 * revised_own[7]);
-                            revised_cross[4] = t245;
-                            revised_cross[5] = t246;
-                            revised_cross[6] = t247;
-                            revised_cross[7] = t248;
-                            revised_own[1] = t253;
-                            revised_own[2] = t254;
-                            revised_own[4] = t256;
-                            revised_own[7] = t258;
+                            return LATE_GPS_RESULT_NOT_FINITE;
                         }
+                        past_state[i + 28 - 4 * past] = revised_state[i];
                     }
-                    const double t259 = late_2 * ((params->delay_gps_v_east - replayed_age) + 0.5);
-                    if (t259 > 0.0)
+                    for (int i = 0; i < 10; ++i)
                     {
-                        for (int older = 0; older < 1; ++older)
+                        if (!late_gps_finite(late_gps_defect(revised_covariance[i])))
                         {
-                            late_pivot_2 = revised_own[5] + 0.09;
-                            if (!(late_pivot_2 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-                            late_inverse_2 = 1.0 / late_pivot_2;
-                            late_weight_2 = (row_2 - revised_signal[2]) * late_inverse_2;
-                            const double t260 = revised_cross[8] * late_weight_2;
-                            revised_state[0] = revised_state[0] + t260;
-                            const double t261 = revised_cross[9] * late_weight_2;
-                            revised_state[1] = revised_state[1] + t261;
-                            const double t262 = revised_cross[10] * late_weight_2;
-                            revised_state[2] = revised_state[2] + t262;
-                            const double t263 = revised_cross[11] * late_weight_2;
-                            revised_state[3] = revised_state[3] + t263;
-                            const double t264 = revised_cross[8] * late_inverse_2;
-                            const double t265 = t264 * revised_cross[8];
-                            revised_covariance[0] = revised_covariance[0] - t265;
-                            const double t266 = revised_cross[9] * late_inverse_2;
-                            const double t267 = t266 * revised_cross[8];
-                            revised_covariance[1] = revised_covariance[1] - t267;
-                            const double t268 = t266 * revised_cross[9];
-                            revised_covariance[2] = revised_covariance[2] - t268;
-                            const double t269 = revised_cross[10] * late_inverse_2;
-                            const double t270 = t269 * revised_cross[8];
-                            revised_covariance[3] = revised_covariance[3] - t270;
-                            const double t271 = t269 * revised_cross[9];
-                            revised_covariance[4] = revised_covariance[4] - t271;
-                            const double t272 = t269 * revised_cross[10];
-                            revised_covariance[5] = revised_covariance[5] - t272;
-                            const double t273 = revised_cross[11] * late_inverse_2;
-                            const double t274 = t273 * revised_cross[8];
-                            revised_covariance[6] = revised_covariance[6] - t274;
-                            const double t275 = t273 * revised_cross[9];
-                            revised_covariance[7] = revised_covariance[7] - t275;
-                            const double t276 = t273 * revised_cross[10];
-                            revised_covariance[8] = revised_covariance[8] - t276;
-                            const double t277 = t273 * revised_cross[11];
-                            revised_covariance[9] = revised_covariance[9] - t277;
-                            const double t278 = revised_own[3] * late_weight_2;
-                            revised_signal[0] = revised_signal[0] + t278;
-                            const double t279 = revised_own[4] * late_weight_2;
-                            revised_signal[1] = revised_signal[1] + t279;
-                            const double t280 = revised_own[5] * late_weight_2;
-                            revised_signal[2] = revised_signal[2] + t280;
-                            const double t281 = revised_own[8] * late_weight_2;
-                            revised_signal[3] = revised_signal[3] + t281;
-                            const double t282 = revised_own[3] * late_inverse_2;
-                            revised_cross[0] = revised_cross[0] - (t282 * revised_cross[8]);
-                            revised_cross[1] = revised_cross[1] - (t282 * revised_cross[9]);
-                            revised_cross[2] = revised_cross[2] - (t282 * revised_cross[10]);
-                            revised_cross[3] = revised_cross[3] - (t282 * revised_cross[11]);
-                            const double t283 = revised_own[4] * late_inverse_2;
-                            revised_cross[4] = revised_cross[4] - (t283 * revised_cross[8]);
-                            revised_cross[5] = revised_cross[5] - (t283 * revised_cross[9]);
-                            revised_cross[6] = revised_cross[6] - (t283 * revised_cross[10]);
-                            revised_cross[7] = revised_cross[7] - (t283 * revised_cross[11]);
-                            const double t284 = revised_own[5] * late_inverse_2;
-                            const double t285 = revised_cross[8] - (t284 * revised_cross[8]);
-                            const double t286 = revised_cross[9] - (t284 * revised_cross[9]);
-                            const double t287 = revised_cross[10] - (t284 * revised_cross[10]);
-                            const double t288 = revised_cross[11] - (t284 * revised_cross[11]);
-                            const double t289 = revised_own[8] * late_inverse_2;
-                            revised_cross[12] = revised_cross[12] - (t289 * revised_cross[8]);
-                            revised_cross[13] = revised_cross[13] - (t289 * revised_cross[9]);
-                            revised_cross[14] = revised_cross[14] - (t289 * revised_cross[10]);
-                            revised_cross[15] = revised_cross[15] - (t289 * revised_cross[11]);
-                            const double t290 = revised_own[3] * late_inverse_2 * revised_own[3];
-                            revised_own[0] = revised_own[0] - t290;
-                            const double t291 = revised_own[4] * late_inverse_2;
-                            revised_own[1] = revised_own[1] - (t291 * revised_own[3]);
-                            revised_own[2] = revised_own[2] - (t291 * revised_own[4]);
-                            const double t292 = revised_own[5] * late_inverse_2;
-                            const double t293 = revised_own[3] - (t292 * revised_own[3]);
-                            const double t294 = revised_own[4] - (t292 * revised_own[4]);
-                            const double t295 = revised_own[5] - (t292 * revised_own[5]);
-                            const double t296 = revised_own[8] * late_inverse_2;
-                            revised_own[6] = revised_own[6] - (t296 * revised_own[3]);
-                            revised_own[7] = revised_own[7] - (t296 * revised_own[4]);
-                            const double t297 = revised_own[8] - (t296 * revised_own[5]);
-                            revised_own[9] = revised_own[9] - (t296 * revised_own[8]);
-                            revised_cross[8] = t285;
-                            revised_cross[9] = t286;
-                            revised_cross[10] = t287;
-                            revised_cross[11] = t288;
-                            revised_own[3] = t293;
-                            revised_own[4] = t294;
-                            revised_own[5] = t295;
-                            revised_own[8] = t297;
+                            return LATE_GPS_RESULT_NOT_FINITE;
                         }
+                        past_covariance[i + 70 - 10 * past] = revised_covariance[i];
                     }
-                    const double t298 = late_3 * ((params->delay_gps_v_north - replayed_age) + 0.5);
-                    if (t298 > 0.0)
-                    {
-                        for (int older = 0; older < 1; ++older)
-                        {
-                            late_pivot_3 = revised_own[9] + 0.09;
-                            if (!(late_pivot_3 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-                            late_inverse_3 = 1.0 / late_pivot_3;
-                            late_weight_3 = (row_3 - revised_signal[3]) * late_inverse_3;
-                            const double t299 = revised_cross[12] * late_weight_3;
-                            revised_state[0] = revised_state[0] + t299;
-                            const double t300 = revised_cross[13] * late_weight_3;
-                            revised_state[1] = revised_state[1] + t300;
-                            const double t301 = revised_cross[14] * late_weight_3;
-                            revised_state[2] = revised_state[2] + t301;
-                            const double t302 = revised_cross[15] * late_weight_3;
-                            revised_state[3] = revised_state[3] + t302;
-                            const double t303 = revised_cross[12] * late_inverse_3;
-                            const double t304 = t303 * revised_cross[12];
-                            revised_covariance[0] = revised_covariance[0] - t304;
-                            const double t305 = revised_cross[13] * late_inverse_3;
-                            const double t306 = t305 * revised_cross[12];
-                            revised_covariance[1] = revised_covariance[1] - t306;
-                            const double t307 = t305 * revised_cross[13];
-                            revised_covariance[2] = revised_covariance[2] - t307;
-                            const double t308 = revised_cross[14] * late_inverse_3;
-                            const double t309 = t308 * revised_cross[12];
-                            revised_covariance[3] = revised_covariance[3] - t309;
-                            const double t310 = t308 * revised_cross[13];
-                            revised_covariance[4] = revised_covariance[4] - t310;
-                            const double t311 = t308 * revised_cross[14];
-                            revised_covariance[5] = revised_covariance[5] - t311;
-                            const double t312 = revised_cross[15] * late_inverse_3;
-                            const double t313 = t312 * revised_cross[12];
-                            revised_covariance[6] = revised_covariance[6] - t313;
-                            const double t314 = t312 * revised_cross[13];
-                            revised_covariance[7] = revised_covariance[7] - t314;
-                            const double t315 = t312 * revised_cross[14];
-                            revised_covariance[8] = revised_covariance[8] - t315;
-                            const double t316 = t312 * revised_cross[15];
-                            revised_covariance[9] = revised_covariance[9] - t316;
-                            const double t317 = revised_own[6] * late_weight_3;
-                            revised_signal[0] = revised_signal[0] + t317;
-                            const double t318 = revised_own[7] * late_weight_3;
-                            revised_signal[1] = revised_signal[1] + t318;
-                            const double t319 = revised_own[8] * late_weight_3;
-                            revised_signal[2] = revised_signal[2] + t319;
-                            const double t320 = revised_own[9] * late_weight_3;
-                            revised_signal[3] = revised_signal[3] + t320;
-                            const double t321 = revised_own[6] * late_inverse_3;
-                            revised_cross[0] = revised_cross[0] - (t321 * revised_cross[12]);
-                            revised_cross[1] = revised_cross[1] - (t321 * revised_cross[13]);
-                            revised_cross[2] = revised_cross[2] - (t321 * revised_cross[14]);
-                            revised_cross[3] = revised_cross[3] - (t321 * revised_cross[15]);
-                            const double t322 = revised_own[7] * late_inverse_3;
-                            revised_cross[4] = revised_cross[4] - (t322 * revised_cross[12]);
-                            revised_cross[5] = revised_cross[5] - (t322 * revised_cross[13]);
-                            revised_cross[6] = revised_cross[6] - (t322 * revised_cross[14]);
-                            revised_cross[7] = revised_cross[7] - (t322 * revised_cross[15]);
-                            const double t323 = revised_own[8] * late_inverse_3;
-                            revised_cross[8] = revised_cross[8] - (t323 * revised_cross[12]);
-                            revised_cross[9] = revised_cross[9] - (t323 * revised_cross[13]);
-                            revised_cross[10] = revised_cross[10] - (t323 * revised_cross[14]);
-                            revised_cross[11] = revised_cross[11] - (t323 * revised_cross[15]);
-                            const double t324 = revised_own[9] * late_inverse_3;
-                            revised_cross[12] = revised_cross[12] - (t324 * revised_cross[12]);
-                            revised_cross[13] = revised_cross[13] - (t324 * revised_cross[13]);
-                            revised_cross[14] = revised_cross[14] - (t324 * revised_cross[14]);
-                            revised_cross[15] = revised_cross[15] - (t324 * revised_cross[15]);
-                            const double t325 = revised_own[6] * late_inverse_3 * revised_own[6];
-                            revised_own[0] = revised_own[0] - t325;
-                            const double t326 = revised_own[7] * late_inverse_3;
-                            revised_own[1] = revised_own[1] - (t326 * revised_own[6]);
-                            revised_own[2] = revised_own[2] - (t326 * revised_own[7]);
-                            const double t327 = revised_own[8] * late_inverse_3;
-                            revised_own[3] = revised_own[3] - (t327 * revised_own[6]);
-                            revised_own[4] = revised_own[4] - (t327 * revised_own[7]);
-                            revised_own[5] = revised_own[5] - (t327 * revised_own[8]);
-                            const double t328 = revised_own[9] * late_inverse_3;
-                            revised_own[6] = revised_own[6] - (t328 * revised_own[6]);
-                            revised_own[7] = revised_own[7] - (t328 * revised_own[7]);
-                            revised_own[8] = revised_own[8] - (t328 * revised_own[8]);
-                            revised_own[9] = revised_own[9] - (t328 * revised_own[9]);
-                        }
-                    }
-                    if (!late_gps_finite((late_gps_defect(revised_state[0]) +
-                        late_gps_defect(revised_state[1])) + (late_gps_defect(revised_state[2]) +
-                        late_gps_defect(revised_state[3]))))
-                    {
-                        return LATE_GPS_RESULT_NOT_FINITE;
-                    }
-                    past_state[28 - 4 * i] = revised_state[0];
-                    past_state[29 - 4 * i] = revised_state[1];
-                    past_state[30 - 4 * i] = revised_state[2];
-                    past_state[31 - 4 * i] = revised_state[3];
-                    if (!late_gps_finite((((late_gps_defect(revised_covariance[0]) +
-                        late_gps_defect(revised_covariance[1])) +
-                        late_gps_defect(revised_covariance[2])) +
-                        (late_gps_defect(revised_covariance[3]) +
-                        late_gps_defect(revised_covariance[4]))) +
-                        (((late_gps_defect(revised_covariance[5]) +
-                        late_gps_defect(revised_covariance[6])) +
-                        late_gps_defect(revised_covariance[7])) +
-                        (late_gps_defect(revised_covariance[8]) +
-                        late_gps_defect(revised_covariance[9])))))
-                    {
-                        return LATE_GPS_RESULT_NOT_FINITE;
-                    }
-                    past_covariance[70 - 10 * i] = revised_covariance[0];
-                    past_covariance[71 - 10 * i] = revised_covariance[1];
-                    past_covariance[72 - 10 * i] = revised_covariance[2];
-                    past_covariance[73 - 10 * i] = revised_covariance[3];
-                    past_covariance[74 - 10 * i] = revised_covariance[4];
-                    past_covariance[75 - 10 * i] = revised_covariance[5];
-                    past_covariance[76 - 10 * i] = revised_covariance[6];
-                    past_covariance[77 - 10 * i] = revised_covariance[7];
-                    past_covariance[78 - 10 * i] = revised_covariance[8];
-                    past_covariance[79 - 10 * i] = revised_covariance[9];
                 }
             }
         }
@@ -1229,206 +598,83 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
     return LATE_GPS_OK;
 }
 
-/* the last samples once more, for what is late. */
-LATE_GPS_INLINE void late_gps_the_last_samples_once_2(const double longest_delay,
-    const double *signal, double *revised_signal, const double *signal_covariance,
-    double *revised_own, const double late_0, const double row_0, double *late_nis,
-    double *late_log_likelihood, const double late_1, const double row_1, const double late_2,
-    const double row_2, const double late_3, const double row_3)
-{
-    double late_pivot_0_now;
-    double late_inverse_0_now;
-    double late_given_before_0;
-    double late_pivot_1_now;
-    double late_inverse_1_now;
-    double late_given_before_1;
-    double late_pivot_2_now;
-    double late_inverse_2_now;
-    double late_given_before_2;
-    double late_pivot_3_now;
-    double late_inverse_3_now;
-    double late_given_before_3;
-    const double t0 = longest_delay - 0.5;
-    if (t0 > 0.0)
-    {
-        for (int once = 0; once < 1; ++once)
-        {
-            late_gps_copy(signal, revised_signal, 4);
-            late_gps_copy(signal_covariance, revised_own, 10);
-            const double t1 = late_0 - 0.5;
-            if (t1 > 0.0)
-            {
-                for (int late_row = 0; late_row < 1; ++late_row)
-                {
-                    late_pivot_0_now = revised_own[0] + 1.0;
-                    late_inverse_0_now = 1.0 / late_pivot_0_now;
-                    late_given_before_0 = row_0 - revised_signal[0];
-                    const double t2 = late_given_before_0 * late_given_before_0;
-                    const double t3 = t2 * late_inverse_0_now;
-                    late_nis[0] = late_nis[0] + t3;
-                    const double t4 = t3 + late_gps_log(late_pivot_0_now) + LATE_GPS_LOG_2_PI;
-                    late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t4);
-                    const double t5 = late_given_before_0 * late_inverse_0_now;
-                    revised_signal[0] = revised_signal[0] + (revised_own[0] * t5);
-                    revised_signal[1] = revised_signal[1] + (revised_own[1] * t5);
-                    revised_signal[2] = revised_signal[2] + (revised_own[3] * t5);
-                    revised_signal[3] = revised_signal[3] + (revised_own[6] * t5);
-                    const double t6 = revised_own[0] * late_inverse_0_now * revised_own[0];
-                    const double t7 = revised_own[0] - t6;
-                    const double t8 = revised_own[1] * late_inverse_0_now;
-                    const double t9 = revised_own[1] - (t8 * revised_own[0]);
-                    revised_own[2] = revised_own[2] - (t8 * revised_own[1]);
-                    const double t10 = revised_own[3] * late_inverse_0_now;
-                    const double t11 = revised_own[3] - (t10 * revised_own[0]);
-                    revised_own[4] = revised_own[4] - (t10 * revised_own[1]);
-                    revised_own[5] = revised_own[5] - (t10 * revised_own[3]);
-                    const double t12 = revised_own[6] * late_inverse_0_now;
-                    const double t13 = revised_own[6] - (t12 * revised_own[0]);
-                    revised_own[7] = revised_own[7] - (t12 * revised_own[1]);
-                    revised_own[8] = revised_own[8] - (t12 * revised_own[3]);
-                    revised_own[9] = revised_own[9] - (t12 * revised_own[6]);
-                    revised_own[0] = t7;
-                    revised_own[1] = t9;
-                    revised_own[3] = t11;
-                    revised_own[6] = t13;
-                }
-            }
-            const double t14 = late_1 - 0.5;
-            if (t14 > 0.0)
-            {
-                for (int late_row = 0; late_row < 1; ++late_row)
-                {
-                    late_pivot_1_now = revised_own[2] + 1.0;
-                    late_inverse_1_now = 1.0 / late_pivot_1_now;
-                    late_given_before_1 = row_1 - revised_signal[1];
-                    const double t15 = late_given_before_1 * late_given_before_1;
-                    const double t16 = t15 * late_inverse_1_now;
-                    late_nis[0] = late_nis[0] + t16;
-                    const double t17 = t16 + late_gps_log(late_pivot_1_now) + LATE_GPS_LOG_2_PI;
-                    late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t17);
-                    const double t18 = late_given_before_1 * late_inverse_1_now;
-                    revised_signal[0] = revised_signal[0] + (revised_own[1] * t18);
-                    revised_signal[1] = revised_signal[1] + (revised_own[2] * t18);
-                    revised_signal[2] = revised_signal[2] + (revised_own[4] * t18);
-                    revised_signal[3] = revised_signal[3] + (revised_own[7] * t18);
-                    const double t19 = revised_own[1] * late_inverse_1_now * revised_own[1];
-                    revised_own[0] = revised_own[0] - t19;
-                    const double t20 = revised_own[2] * late_inverse_1_now;
-                    const double t21 = revised_own[1] - (t20 * revised_own[1]);
-                    const double t22 = revised_own[2] - (t20 * revised_own[2]);
-                    const double t23 = revised_own[4] * late_inverse_1_now;
-                    revised_own[3] = revised_own[3] - (t23 * revised_own[1]);
-                    const double t24 = revised_own[4] - (t23 * revised_own[2]);
-                    revised_own[5] = revised_own[5] - (t23 * revised_own[4]);
-                    const double t25 = revised_own[7] * late_inverse_1_now;
-                    revised_own[6] = revised_own[6] - (t25 * revised_own[1]);
-                    const double t26 = revised_own[7] - (t25 * revised_own[2]);
-                    revised_own[8] = revised_own[8] - (t25 * revised_own[4]);
-                    revised_own[9] = revised_own[9] - (t25 * revised_own[7]);
-                    revised_own[1] = t21;
-                    revised_own[2] = t22;
-                    revised_own[4] = t24;
-                    revised_own[7] = t26;
-                }
-            }
-            const double t27 = late_2 - 0.5;
-            if (t27 > 0.0)
-            {
-                for (int late_row = 0; late_row < 1; ++late_row)
-                {
-                    late_pivot_2_now = revised_own[5] + 0.09;
-                    late_inverse_2_now = 1.0 / late_pivot_2_now;
-                    late_given_before_2 = row_2 - revised_signal[2];
-                    const double t28 = late_given_before_2 * late_given_before_2;
-                    const double t29 = t28 * late_inverse_2_now;
-                    late_nis[0] = late_nis[0] + t29;
-                    const double t30 = t29 + late_gps_log(late_pivot_2_now) + LATE_GPS_LOG_2_PI;
-                    late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t30);
-                    const double t31 = late_given_before_2 * late_inverse_2_now;
-                    revised_signal[0] = revised_signal[0] + (revised_own[3] * t31);
-                    revised_signal[1] = revised_signal[1] + (revised_own[4] * t31);
-                    revised_signal[2] = revised_signal[2] + (revised_own[5] * t31);
-                    revised_signal[3] = revised_signal[3] + (revised_own[8] * t31);
-                    const double t32 = revised_own[3] * late_inverse_2_now * revised_own[3];
-                    revised_own[0] = revised_own[0] - t32;
-                    const double t33 = revised_own[4] * late_inverse_2_now;
-                    revised_own[1] = revised_own[1] - (t33 * revised_own[3]);
-                    revised_own[2] = revised_own[2] - (t33 * revised_own[4]);
-                    const double t34 = revised_own[5] * late_inverse_2_now;
-                    const double t35 = revised_own[3] - (t34 * revised_own[3]);
-                    const double t36 = revised_own[4] - (t34 * revised_own[4]);
-                    const double t37 = revised_own[5] - (t34 * revised_own[5]);
-                    const double t38 = revised_own[8] * late_inverse_2_now;
-                    revised_own[6] = revised_own[6] - (t38 * revised_own[3]);
-                    revised_own[7] = revised_own[7] - (t38 * revised_own[4]);
-                    const double t39 = revised_own[8] - (t38 * revised_own[5]);
-                    revised_own[9] = revised_own[9] - (t38 * revised_own[8]);
-                    revised_own[3] = t35;
-                    revised_own[4] = t36;
-                    revised_own[5] = t37;
-                    revised_own[8] = t39;
-                }
-            }
-            const double t40 = late_3 - 0.5;
-            if (t40 > 0.0)
-            {
-                for (int late_row = 0; late_row < 1; ++late_row)
-                {
-                    late_pivot_3_now = revised_own[9] + 0.09;
-                    late_inverse_3_now = 1.0 / late_pivot_3_now;
-                    late_given_before_3 = row_3 - revised_signal[3];
-                    const double t41 = late_given_before_3 * late_given_before_3;
-                    const double t42 = t41 * late_inverse_3_now;
-                    late_nis[0] = late_nis[0] + t42;
-                    const double t43 = t42 + late_gps_log(late_pivot_3_now) + LATE_GPS_LOG_2_PI;
-                    late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t43);
-                    const double t44 = late_given_before_3 * late_inverse_3_now;
-                    revised_signal[0] = revised_signal[0] + (revised_own[6] * t44);
-                    revised_signal[1] = revised_signal[1] + (revised_own[7] * t44);
-                    revised_signal[2] = revised_signal[2] + (revised_own[8] * t44);
-                    revised_signal[3] = revised_signal[3] + (revised_own[9] * t44);
-                    const double t45 = revised_own[6] * late_inverse_3_now * revised_own[6];
-                    revised_own[0] = revised_own[0] - t45;
-                    const double t46 = revised_own[7] * late_inverse_3_now;
-                    revised_own[1] = revised_own[1] - (t46 * revised_own[6]);
-                    revised_own[2] = revised_own[2] - (t46 * revised_own[7]);
-                    const double t47 = revised_own[8] * late_inverse_3_now;
-                    revised_own[3] = revised_own[3] - (t47 * revised_own[6]);
-                    revised_own[4] = revised_own[4] - (t47 * revised_own[7]);
-                    revised_own[5] = revised_own[5] - (t47 * revised_own[8]);
-                    const double t48 = revised_own[9] * late_inverse_3_now;
-                    revised_own[6] = revised_own[6] - (t48 * revised_own[6]);
-                    revised_own[7] = revised_own[7] - (t48 * revised_own[7]);
-                    revised_own[8] = revised_own[8] - (t48 * revised_own[8]);
-                    revised_own[9] = revised_own[9] - (t48 * revised_own[9]);
-                }
-            }
-        }
-    }
-}
-
-/* the last samples. */
-LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples(const double row_0, const double row_1,
-    const double row_2, const double row_3, const double age_0, const double age_1,
-    const double age_2, const double age_3, const double *predicted_state, double *past_state,
+/* how late row 1 of y is, gps_north. */
+LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row(const double predicted_samples_before,
+    const double *y, double *row_1, double *age_1, double *late_1, double *row_2, double *age_2,
+    double *late_2, double *row_3, double *age_3, double *late_3, const double row_0,
+    const double age_0, const double *predicted_state, double *past_state,
     const double *past_state_2, const double *predicted_covariance, double *past_covariance,
     const double *past_covariance_2, double *past_rows, const double *past_rows_2,
     double *past_delay, const double *past_delay_2, double *past_parameters,
-    const double *past_parameters_2, const double late_0, const double late_1, const double late_2,
-    const double late_3, double *longest_delay, double *signal_cross, double *signal,
-    double *signal_covariance, double *late_nis, double *late_log_likelihood, const double *y,
-    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    double *variance, double *mean, double *covariance, const late_gps_params_t *params,
-    uint32_t present)
+    const double *past_parameters_2, const late_gps_params_t *params, uint32_t present)
 {
-    double revised_signal[4] = { 0.0 };
-    double revised_own[10] = { 0.0 };
-    late_gps_status_t status;
+    /* how late row 1 of y is, gps_north */
+    if ((present & 0x2u) != 0u)
+    {
+        const double t0 = 8.0 - params->delay_gps_north;
+        const double t1 = late_gps_floor(params->delay_gps_north) - params->delay_gps_north;
+        if (!((params->delay_gps_north >= 0.0) && (t0 >= 0.0) && (t1 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        const double t2 = (predicted_samples_before - params->delay_gps_north) + 0.5;
+        if (t2 > 0.0)
+        {
+            row_1[0] = y[0];
+            age_1[0] = params->delay_gps_north;
+            late_1[0] = (0.5 < params->delay_gps_north) ? 1.0 : 0.0;
+        }
+    }
+
+    /* how late row 2 of y is, gps_v_east */
+    if ((present & 0x4u) != 0u)
+    {
+        const double t3 = 8.0 - params->delay_gps_v_east;
+        const double t4 = late_gps_floor(params->delay_gps_v_east) - params->delay_gps_v_east;
+        if (!((params->delay_gps_v_east >= 0.0) && (t3 >= 0.0) && (t4 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        const double t5 = (predicted_samples_before - params->delay_gps_v_east) + 0.5;
+        if (t5 > 0.0)
+        {
+            row_2[0] = y[1];
+            age_2[0] = params->delay_gps_v_east;
+            late_2[0] = (0.5 < params->delay_gps_v_east) ? 1.0 : 0.0;
+        }
+    }
+
+    /* how late row 3 of y is, gps_v_north */
+    if ((present & 0x8u) != 0u)
+    {
+        const double t6 = 8.0 - params->delay_gps_v_north;
+        const double t7 = late_gps_floor(params->delay_gps_v_north) - params->delay_gps_v_north;
+        if (!((params->delay_gps_v_north >= 0.0) && (t6 >= 0.0) && (t7 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t8 = (predicted_samples_before - params->delay_gps_v_north) + 0.5;
+        if (t8 > 0.0)
+        {
+            row_3[0] = y[2];
+            age_3[0] = params->delay_gps_v_north;
+            late_3[0] = (0.5 < params->delay_gps_v_north) ? 1.0 : 0.0;
+        }
+    }
 
     /* the last samples */
-    if (!late_gps_finite((((late_gps_defect(row_0) + late_gps_defect(row_1)) +
-        late_gps_defect(row_2)) + (late_gps_defect(row_3) + late_gps_defect(age_0))) +
-        ((late_gps_defect(age_1) + late_gps_defect(age_2)) + (late_gps_defect(age_3) +
+    if (!late_gps_finite((((late_gps_defect(row_0) + late_gps_defect(row_1[0])) +
+        late_gps_defect(row_2[0])) + (late_gps_defect(row_3[0]) + late_gps_defect(age_0))) +
+        ((late_gps_defect(age_1[0]) + late_gps_defect(age_2[0])) + (late_gps_defect(age_3[0]) +
         late_gps_defect(params->dt)))))
     {
         return LATE_GPS_RESULT_NOT_FINITE;
@@ -1438,244 +684,17 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples(const double row_0, 
     late_gps_copy(predicted_covariance, past_covariance, 10);
     late_gps_copy(past_covariance_2, &past_covariance[10], 80);
     past_rows[0] = row_0;
-    past_rows[1] = row_1;
-    past_rows[2] = row_2;
-    past_rows[3] = row_3;
+    past_rows[1] = row_1[0];
+    past_rows[2] = row_2[0];
+    past_rows[3] = row_3[0];
     late_gps_copy(past_rows_2, &past_rows[4], 32);
     past_delay[0] = age_0;
-    past_delay[1] = age_1;
-    past_delay[2] = age_2;
-    past_delay[3] = age_3;
+    past_delay[1] = age_1[0];
+    past_delay[2] = age_2[0];
+    past_delay[3] = age_3[0];
     late_gps_copy(past_delay_2, &past_delay[4], 32);
     past_parameters[0] = params->dt;
     late_gps_copy(past_parameters_2, &past_parameters[1], 8);
-
-    /* the last samples once more, for what is late */
-    const double t0 = params->delay_gps_east * late_0;
-    const double t1 = (0.0 > t0) ? 0.0 : t0;
-    const double t2 = params->delay_gps_north * late_1;
-    const double t3 = (t1 > t2) ? t1 : t2;
-    const double t4 = params->delay_gps_v_east * late_2;
-    const double t5 = (t3 > t4) ? t3 : t4;
-    const double t6 = params->delay_gps_v_north * late_3;
-    longest_delay[0] = (t5 > t6) ? t5 : t6;
-    status = late_gps_the_last_samples_once(longest_delay[0], past_state, past_covariance, late_0,
-        signal_cross, signal, signal_covariance, late_1, late_2, late_3, past_delay, past_rows,
-        past_parameters, revised_signal, revised_own, row_0, row_1, row_2, row_3, params);
-    if (status != LATE_GPS_OK) { return status; }
-    late_gps_the_last_samples_once_2(longest_delay[0], signal, revised_signal, signal_covariance,
-        revised_own, late_0, row_0, late_nis, late_log_likelihood, late_1, row_1, late_2, row_2,
-        late_3, row_3);
-
-    /* innovation, row by row */
-    late_gps_innovation(late_0, age_0, y, past_state[0], innovation_0, ((present & 0x1u) != 0u));
-    late_gps_innovation(late_1, age_1, &y[1], past_state[1], innovation_1, ((present & 0x2u) !=
-        0u));
-    late_gps_innovation(late_2, age_2, &y[2], past_state[2], innovation_2, ((present & 0x4u) !=
-        0u));
-    late_gps_innovation(late_3, age_3, &y[3], past_state[3], innovation_3, ((present & 0x8u) !=
-        0u));
-    variance[0] = past_covariance[0] + 1.0;
-    variance[2] = past_covariance[2] + 1.0;
-    variance[5] = past_covariance[5] + 0.09;
-    variance[9] = past_covariance[9] + 0.09;
-    variance[1] = past_covariance[1];
-    variance[3] = past_covariance[3];
-    variance[4] = past_covariance[4];
-    late_gps_copy(&past_covariance[6], &variance[6], 3);
-    late_gps_copy(past_state, mean, 4);
-    late_gps_copy(past_covariance, covariance, 10);
-    return LATE_GPS_OK;
-}
-
-/* how late row 2 of y is, gps_v_east. */
-LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row(const double predicted_samples_before,
-    const double *y, double *row_2, double *age_2, double *late_2, double *row_3, double *age_3,
-    double *late_3, const double row_0, const double row_1, const double age_0, const double age_1,
-    const double *predicted_state, double *past_state, const double *past_state_2,
-    const double *predicted_covariance, double *past_covariance, const double *past_covariance_2,
-    double *past_rows, const double *past_rows_2, double *past_delay, const double *past_delay_2,
-    double *past_parameters, const double *past_parameters_2, const double late_0,
-    const double late_1, double *longest_delay, double *signal_cross, double *signal,
-    double *signal_covariance, double *late_nis, double *late_log_likelihood, double *innovation_0,
-    double *innovation_1, double *innovation_2, double *innovation_3, double *variance,
-    double *mean, double *covariance, double *quadratic, double *log_constant,
-    double *determinant_0, const late_gps_params_t *params, uint32_t present)
-{
-    double pivot_0;
-    double inverse_0 = 0.0;
-    double pivot_1;
-    double inverse_1 = 0.0;
-    double pivot_2;
-    double inverse_2 = 0.0;
-    late_gps_status_t status;
-
-    /* how late row 2 of y is, gps_v_east */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t0 = 8.0 - params->delay_gps_v_east;
-        const double t1 = late_gps_floor(params->delay_gps_v_east) - params->delay_gps_v_east;
-        if (!((params->delay_gps_v_east >= 0.0) && (t0 >= 0.0) && (t1 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t2 = (predicted_samples_before - params->delay_gps_v_east) + 0.5;
-        if (t2 > 0.0)
-        {
-            row_2[0] = y[2];
-            age_2[0] = params->delay_gps_v_east;
-            late_2[0] = (0.5 < params->delay_gps_v_east) ? 1.0 : 0.0;
-        }
-    }
-
-    /* how late row 3 of y is, gps_v_north */
-    if ((present & 0x8u) != 0u)
-    {
-        const double t3 = 8.0 - params->delay_gps_v_north;
-        const double t4 = late_gps_floor(params->delay_gps_v_north) - params->delay_gps_v_north;
-        if (!((params->delay_gps_v_north >= 0.0) && (t3 >= 0.0) && (t4 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t5 = (predicted_samples_before - params->delay_gps_v_north) + 0.5;
-        if (t5 > 0.0)
-        {
-            row_3[0] = y[3];
-            age_3[0] = params->delay_gps_v_north;
-            late_3[0] = (0.5 < params->delay_gps_v_north) ? 1.0 : 0.0;
-        }
-    }
-
-    /* the last samples */
-    status = late_gps_the_last_samples(row_0, row_1, row_2[0], row_3[0], age_0, age_1, age_2[0],
-        age_3[0], predicted_state, past_state, past_state_2, predicted_covariance, past_covariance,
-        past_covariance_2, past_rows, past_rows_2, past_delay, past_delay_2, past_parameters,
-        past_parameters_2, late_0, late_1, late_2[0], late_3[0], longest_delay, signal_cross,
-        signal, signal_covariance, late_nis, late_log_likelihood, y, innovation_0, innovation_1,
-        innovation_2, innovation_3, variance, mean, covariance, params, present);
-    if (status != LATE_GPS_OK) { return status; }
-
-    /* row 0 of y, gps_east */
-    pivot_0 = past_covariance[0] + 1.0;
-    if ((present & 0x1u) != 0u)
-    {
-        const double t6 = 0.5 - late_0;
-        const double t7 = age_0 + 0.5;
-        const double t8 = (t6 < t7) ? t6 : t7;
-        if (t8 > 0.0)
-        {
-            if (!(pivot_0 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_0 = 1.0 / pivot_0;
-            const double t9 = innovation_0[0] * inverse_0;
-            quadratic[0] = innovation_0[0] * t9;
-            mean[0] = past_state[0] + (past_covariance[0] * t9);
-            mean[1] = past_state[1] + (past_covariance[1] * t9);
-            mean[2] = past_state[2] + (past_covariance[3] * t9);
-            mean[3] = past_state[3] + (past_covariance[6] * t9);
-            const double t10 = past_covariance[0] * inverse_0 * past_covariance[0];
-            covariance[0] = past_covariance[0] - t10;
-            const double t11 = past_covariance[1] * inverse_0;
-            covariance[1] = past_covariance[1] - (t11 * past_covariance[0]);
-            covariance[2] = past_covariance[2] - (t11 * past_covariance[1]);
-            const double t12 = past_covariance[3] * inverse_0;
-            covariance[3] = past_covariance[3] - (t12 * past_covariance[0]);
-            covariance[4] = past_covariance[4] - (t12 * past_covariance[1]);
-            covariance[5] = past_covariance[5] - (t12 * past_covariance[3]);
-            const double t13 = past_covariance[6] * inverse_0;
-            covariance[6] = past_covariance[6] - (t13 * past_covariance[0]);
-            covariance[7] = past_covariance[7] - (t13 * past_covariance[1]);
-            covariance[8] = past_covariance[8] - (t13 * past_covariance[3]);
-            covariance[9] = past_covariance[9] - (t13 * past_covariance[6]);
-            log_constant[0] = LATE_GPS_LOG_2_PI;
-            determinant_0[0] = pivot_0;
-        }
-    }
-
-    /* row 1 of y, gps_north */
-    pivot_1 = covariance[2] + 1.0;
-    if ((present & 0x2u) != 0u)
-    {
-        const double t14 = 0.5 - late_1;
-        const double t15 = age_1 + 0.5;
-        const double t16 = (t14 < t15) ? t14 : t15;
-        if (t16 > 0.0)
-        {
-            if (!(pivot_1 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_1 = 1.0 / pivot_1;
-            const double t17 = innovation_1[0] - (mean[1] - past_state[1]);
-            const double t18 = t17 * inverse_1;
-            quadratic[0] = quadratic[0] + (t17 * t18);
-            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
-            determinant_0[0] = determinant_0[0] * pivot_1;
-            mean[0] = mean[0] + (covariance[1] * t18);
-            mean[1] = mean[1] + (covariance[2] * t18);
-            mean[2] = mean[2] + (covariance[4] * t18);
-            mean[3] = mean[3] + (covariance[7] * t18);
-            covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
-            const double t19 = covariance[2] * inverse_1;
-            const double t20 = covariance[1] - (t19 * covariance[1]);
-            const double t21 = covariance[2] - (t19 * covariance[2]);
-            const double t22 = covariance[4] * inverse_1;
-            covariance[3] = covariance[3] - (t22 * covariance[1]);
-            const double t23 = covariance[4] - (t22 * covariance[2]);
-            covariance[5] = covariance[5] - (t22 * covariance[4]);
-            const double t24 = covariance[7] * inverse_1;
-            covariance[6] = covariance[6] - (t24 * covariance[1]);
-            const double t25 = covariance[7] - (t24 * covariance[2]);
-            covariance[8] = covariance[8] - (t24 * covariance[4]);
-            covariance[9] = covariance[9] - (t24 * covariance[7]);
-            covariance[1] = t20;
-            covariance[2] = t21;
-            covariance[4] = t23;
-            covariance[7] = t25;
-        }
-    }
-
-    /* row 2 of y, gps_v_east */
-    pivot_2 = covariance[5] + 0.09;
-    if ((present & 0x4u) != 0u)
-    {
-        const double t26 = 0.5 - late_2[0];
-        const double t27 = age_2[0] + 0.5;
-        const double t28 = (t26 < t27) ? t26 : t27;
-        if (t28 > 0.0)
-        {
-            if (!(pivot_2 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_2 = 1.0 / pivot_2;
-            const double t29 = innovation_2[0] - (mean[2] - past_state[2]);
-            const double t30 = t29 * inverse_2;
-            quadratic[0] = quadratic[0] + (t29 * t30);
-            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
-            determinant_0[0] = determinant_0[0] * pivot_2;
-            mean[0] = mean[0] + (covariance[3] * t30);
-            mean[1] = mean[1] + (covariance[4] * t30);
-            mean[2] = mean[2] + (covariance[5] * t30);
-            mean[3] = mean[3] + (covariance[8] * t30);
-            covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
-            const double t31 = covariance[4] * inverse_2;
-            covariance[1] = covariance[1] - (t31 * covariance[3]);
-            covariance[2] = covariance[2] - (t31 * covariance[4]);
-            const double t32 = covariance[5] * inverse_2;
-            const double t33 = covariance[3] - (t32 * covariance[3]);
-            const double t34 = covariance[4] - (t32 * covariance[4]);
-            const double t35 = covariance[5] - (t32 * covariance[5]);
-            const double t36 = covariance[8] * inverse_2;
-            covariance[6] = covariance[6] - (t36 * covariance[3]);
-            covariance[7] = covariance[7] - (t36 * covariance[4]);
-            const double t37 = covariance[8] - (t36 * covariance[5]);
-            covariance[9] = covariance[9] - (t36 * covariance[8]);
-            covariance[3] = t33;
-            covariance[4] = t34;
-            covariance[5] = t35;
-            covariance[8] = t37;
-        }
-    }
     return LATE_GPS_OK;
 }
 
@@ -1686,7 +705,7 @@ LATE_GPS_INLINE late_gps_status_t late_gps_innovations_about_what_was(const doub
     const double row_0, const double *signal, const double late_1, const double age_1,
     const double innovation_1, const double row_1, const double late_2, const double age_2,
     const double innovation_2, const double row_2, const double late_3, const double age_3,
-    const double innovation_3, const double row_3, const double *signal_covariance,
+    const double innovation_3, const double row_3, const double *signal_own,
     const double *predicted_covariance, const double *signal_cross, double *all_variances,
     const double quadratic, const double late_nis, const double determinant_0,
     const double log_constant, const double late_log_likelihood, const double *covariance,
@@ -1767,43 +786,43 @@ LATE_GPS_INLINE late_gps_status_t late_gps_innovations_about_what_was(const doub
             {
                 all_innovations[3] = row_3 - signal[3];
             }
-            const double t17 = late_0 * late_0 * (signal_covariance[0] - predicted_covariance[0]);
+            const double t17 = late_0 * late_0 * (signal_own[0] - predicted_covariance[0]);
             all_variances[0] = predicted_covariance[0] + t17 + 1.0;
             const double t18 = late_1 * (1.0 - late_0);
             const double t19 = t18 * (signal_cross[3] - predicted_covariance[1]);
             const double t20 = predicted_covariance[1] + t19;
             const double t21 = t20 + (late_0 * (1.0 - late_1) * (signal_cross[0] - t20));
-            all_variances[1] = t21 + (late_1 * late_0 * (signal_covariance[1] - t21));
-            const double t22 = late_1 * late_1 * (signal_covariance[2] - predicted_covariance[2]);
+            all_variances[1] = t21 + (late_1 * late_0 * (signal_own[4] - t21));
+            const double t22 = late_1 * late_1 * (signal_own[5] - predicted_covariance[2]);
             all_variances[2] = predicted_covariance[2] + t22 + 1.0;
             const double t23 = late_2 * (1.0 - late_0);
             const double t24 = t23 * (signal_cross[7] - predicted_covariance[3]);
             const double t25 = predicted_covariance[3] + t24;
             const double t26 = t25 + (late_0 * (1.0 - late_2) * (signal_cross[1] - t25));
-            all_variances[3] = t26 + (late_2 * late_0 * (signal_covariance[3] - t26));
+            all_variances[3] = t26 + (late_2 * late_0 * (signal_own[8] - t26));
             const double t27 = late_2 * (1.0 - late_1);
             const double t28 = t27 * (signal_cross[8] - predicted_covariance[4]);
             const double t29 = predicted_covariance[4] + t28;
             const double t30 = t29 + (late_1 * (1.0 - late_2) * (signal_cross[5] - t29));
-            all_variances[4] = t30 + (late_2 * late_1 * (signal_covariance[4] - t30));
-            const double t31 = late_2 * late_2 * (signal_covariance[5] - predicted_covariance[5]);
+            all_variances[4] = t30 + (late_2 * late_1 * (signal_own[9] - t30));
+            const double t31 = late_2 * late_2 * (signal_own[10] - predicted_covariance[5]);
             all_variances[5] = predicted_covariance[5] + t31 + 0.09;
             const double t32 = late_3 * (1.0 - late_0);
             const double t33 = t32 * (signal_cross[11] - predicted_covariance[6]);
             const double t34 = predicted_covariance[6] + t33;
             const double t35 = t34 + (late_0 * (1.0 - late_3) * (signal_cross[2] - t34));
-            all_variances[6] = t35 + (late_3 * late_0 * (signal_covariance[6] - t35));
+            all_variances[6] = t35 + (late_3 * late_0 * (signal_own[12] - t35));
             const double t36 = late_3 * (1.0 - late_1);
             const double t37 = t36 * (signal_cross[12] - predicted_covariance[7]);
             const double t38 = predicted_covariance[7] + t37;
             const double t39 = t38 + (late_1 * (1.0 - late_3) * (signal_cross[6] - t38));
-            all_variances[7] = t39 + (late_3 * late_1 * (signal_covariance[7] - t39));
+            all_variances[7] = t39 + (late_3 * late_1 * (signal_own[13] - t39));
             const double t40 = late_3 * (1.0 - late_2);
             const double t41 = t40 * (signal_cross[13] - predicted_covariance[8]);
             const double t42 = predicted_covariance[8] + t41;
             const double t43 = t42 + (late_2 * (1.0 - late_3) * (signal_cross[10] - t42));
-            all_variances[8] = t43 + (late_3 * late_2 * (signal_covariance[8] - t43));
-            const double t44 = late_3 * late_3 * (signal_covariance[9] - predicted_covariance[9]);
+            all_variances[8] = t43 + (late_3 * late_2 * (signal_own[14] - t43));
+            const double t44 = late_3 * late_3 * (signal_own[15] - predicted_covariance[9]);
             all_variances[9] = predicted_covariance[9] + t44 + 0.09;
         }
     }
@@ -1849,6 +868,368 @@ LATE_GPS_INLINE late_gps_status_t late_gps_innovations_about_what_was(const doub
     return LATE_GPS_OK;
 }
 
+/* how late row 1 of y is, gps_north. */
+LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_2(const double predicted_samples_before,
+    const double *y, double *row_1, double *age_1, double *late_1, double *row_2, double *age_2,
+    double *late_2, double *row_3, double *age_3, double *late_3, const double row_0,
+    const double age_0, const double *predicted_state, double *past_state,
+    const double *past_state_2, const double *predicted_covariance, double *past_covariance,
+    const double *past_covariance_2, double *past_rows, const double *past_rows_2,
+    double *past_delay, const double *past_delay_2, double *past_parameters,
+    const double *past_parameters_2, const double late_0, double *longest_delay, double *signal,
+    double *signal_cross, double *signal_own, double *late_nis, double *late_log_likelihood,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
+    double *determinant_0, const late_gps_params_t *params, uint32_t present)
+{
+    double late_flag[4] = { 0.0 };
+    double late_by[4] = { 0.0 };
+    double late_seen[4] = { 0.0 };
+    double late_noise[4] = { 0.0 };
+    double revised[4] = { 0.0 };
+    double revised_own[16] = { 0.0 };
+    double late_shared_now[4] = { 0.0 };
+    double late_pivot_now;
+    double late_inverse_now;
+    double late_news_now;
+    double late_gain_now;
+    double pivot_0;
+    double inverse_0 = 0.0;
+    late_gps_status_t status;
+
+    /* how late row 1 of y is, gps_north */
+    status = late_gps_how_late_row(predicted_samples_before, &y[1], row_1, age_1, late_1, row_2,
+        age_2, late_2, row_3, age_3, late_3, row_0, age_0, predicted_state, past_state,
+        past_state_2, predicted_covariance, past_covariance, past_covariance_2, past_rows,
+        past_rows_2, past_delay, past_delay_2, past_parameters, past_parameters_2, params, present);
+    if (status != LATE_GPS_OK) { return status; }
+
+    /* the last samples once more, for what is late */
+    const double t0 = params->delay_gps_east * late_0;
+    const double t1 = (0.0 > t0) ? 0.0 : t0;
+    const double t2 = params->delay_gps_north * late_1[0];
+    const double t3 = (t1 > t2) ? t1 : t2;
+    const double t4 = params->delay_gps_v_east * late_2[0];
+    const double t5 = (t3 > t4) ? t3 : t4;
+    const double t6 = params->delay_gps_v_north * late_3[0];
+    longest_delay[0] = (t5 > t6) ? t5 : t6;
+    const double t7 = longest_delay[0] - 0.5;
+    if (t7 > 0.0)
+    {
+        late_flag[0] = late_0;
+        late_flag[1] = late_1[0];
+        late_flag[2] = late_2[0];
+        late_flag[3] = late_3[0];
+    }
+    const double t8 = longest_delay[0] - 0.5;
+    if (t8 > 0.0)
+    {
+        late_by[0] = params->delay_gps_east;
+        late_by[1] = params->delay_gps_north;
+        late_by[2] = params->delay_gps_v_east;
+        late_by[3] = params->delay_gps_v_north;
+    }
+    const double t9 = longest_delay[0] - 0.5;
+    if (t9 > 0.0)
+    {
+        late_seen[0] = row_0;
+        late_seen[1] = row_1[0];
+        late_seen[2] = row_2[0];
+        late_seen[3] = row_3[0];
+    }
+    const double t10 = longest_delay[0] - 0.5;
+    if (t10 > 0.0)
+    {
+        late_noise[0] = 1.0;
+        late_noise[1] = 1.0;
+        late_noise[2] = 0.09;
+        late_noise[3] = 0.09;
+    }
+    status = late_gps_the_last_samples_once(longest_delay[0], past_state, past_covariance, late_by,
+        late_flag, signal, signal_cross, signal_own, past_delay, past_rows, past_parameters,
+        revised, revised_own, late_noise, late_seen);
+    if (status != LATE_GPS_OK) { return status; }
+    const double t11 = longest_delay[0] - 0.5;
+    if (t11 > 0.0)
+    {
+        for (int once = 0; once < 1; ++once)
+        {
+            late_gps_copy(signal, revised, 4);
+            late_gps_copy(signal_own, revised_own, 16);
+            for (int q = 0; q < 4; ++q)
+            {
+                const double t12 = late_flag[q] - 0.5;
+                if (t12 > 0.0)
+                {
+                    for (int late_row = 0; late_row < 1; ++late_row)
+                    {
+                        for (int j = 0; j < 4; ++j)
+                        {
+                            late_shared_now[j] = revised_own[j + 4 * q];
+                        }
+                        late_pivot_now = revised_own[5 * q] + late_noise[q];
+                        if (!(late_pivot_now > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+                        late_inverse_now = 1.0 / late_pivot_now;
+                        late_news_now = late_seen[q] - revised[q];
+                        for (int a = 0; a < 4; ++a)
+                        {
+                            late_gain_now = late_shared_now[a] * late_inverse_now;
+                            revised[a] = revised[a] + (late_gain_now * late_news_now);
+                            for (int j = 0; j < 4; ++j)
+                            {
+                                const double t13 = late_gain_now * late_shared_now[j];
+                                revised_own[4 * a + j] = revised_own[4 * a + j] - t13;
+                            }
+                        }
+                        const double t14 = late_news_now * late_news_now * late_inverse_now;
+                        late_nis[0] = late_nis[0] + t14;
+                        const double t15 = t14 + late_gps_log(late_pivot_now) + LATE_GPS_LOG_2_PI;
+                        late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t15);
+                    }
+                }
+            }
+        }
+    }
+
+    /* innovation, row by row */
+    late_gps_innovation(late_0, age_0, y, past_state[0], innovation_0, ((present & 0x1u) != 0u));
+    late_gps_innovation(late_1[0], age_1[0], &y[1], past_state[1], innovation_1,
+        ((present & 0x2u) != 0u));
+    late_gps_innovation(late_2[0], age_2[0], &y[2], past_state[2], innovation_2,
+        ((present & 0x4u) != 0u));
+    late_gps_innovation(late_3[0], age_3[0], &y[3], past_state[3], innovation_3,
+        ((present & 0x8u) != 0u));
+    variance[0] = past_covariance[0] + 1.0;
+    variance[2] = past_covariance[2] + 1.0;
+    variance[5] = past_covariance[5] + 0.09;
+    variance[9] = past_covariance[9] + 0.09;
+    variance[1] = past_covariance[1];
+    variance[3] = past_covariance[3];
+    variance[4] = past_covariance[4];
+    late_gps_copy(&past_covariance[6], &variance[6], 3);
+    late_gps_copy(past_state, mean, 4);
+    late_gps_copy(past_covariance, covariance, 10);
+
+    /* row 0 of y, gps_east */
+    pivot_0 = past_covariance[0] + 1.0;
+    if ((present & 0x1u) != 0u)
+    {
+        const double t16 = 0.5 - late_0;
+        const double t17 = age_0 + 0.5;
+        const double t18 = (t16 < t17) ? t16 : t17;
+        if (t18 > 0.0)
+        {
+            if (!(pivot_0 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_0 = 1.0 / pivot_0;
+            const double t19 = innovation_0[0] * inverse_0;
+            quadratic[0] = innovation_0[0] * t19;
+            mean[0] = past_state[0] + (past_covariance[0] * t19);
+            mean[1] = past_state[1] + (past_covariance[1] * t19);
+            mean[2] = past_state[2] + (past_covariance[3] * t19);
+            mean[3] = past_state[3] + (past_covariance[6] * t19);
+            const double t20 = past_covariance[0] * inverse_0 * past_covariance[0];
+            covariance[0] = past_covariance[0] - t20;
+            const double t21 = past_covariance[1] * inverse_0;
+            covariance[1] = past_covariance[1] - (t21 * past_covariance[0]);
+            covariance[2] = past_covariance[2] - (t21 * past_covariance[1]);
+            const double t22 = past_covariance[3] * inverse_0;
+            covariance[3] = past_covariance[3] - (t22 * past_covariance[0]);
+            covariance[4] = past_covariance[4] - (t22 * past_covariance[1]);
+            covariance[5] = past_covariance[5] - (t22 * past_covariance[3]);
+            const double t23 = past_covariance[6] * inverse_0;
+            covariance[6] = past_covariance[6] - (t23 * past_covariance[0]);
+            covariance[7] = past_covariance[7] - (t23 * past_covariance[1]);
+            covariance[8] = past_covariance[8] - (t23 * past_covariance[3]);
+            covariance[9] = past_covariance[9] - (t23 * past_covariance[6]);
+            log_constant[0] = LATE_GPS_LOG_2_PI;
+            determinant_0[0] = pivot_0;
+        }
+    }
+    return LATE_GPS_OK;
+}
+
+/* how late row 0 of y is, gps_east. */
+LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_3(const double predicted_samples_before,
+    const double *y, double *row_0, double *age_0, double *late_0, double *row_1, double *age_1,
+    double *late_1, double *row_2, double *age_2, double *late_2, double *row_3, double *age_3,
+    double *late_3, const double *predicted_state, double *past_state, const double *past_state_2,
+    const double *predicted_covariance, double *past_covariance, const double *past_covariance_2,
+    double *past_rows, const double *past_rows_2, double *past_delay, const double *past_delay_2,
+    double *past_parameters, const double *past_parameters_2, double *longest_delay, double *signal,
+    double *signal_cross, double *signal_own, double *late_nis, double *late_log_likelihood,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    double *mean, double *covariance, double *quadratic, double *log_constant,
+    double *determinant_0, double *all_innovations, double *all_variances,
+    const late_gps_params_t *params, uint32_t present)
+{
+    double variance[10] = { 0.0 };
+    double pivot_1;
+    double inverse_1 = 0.0;
+    double pivot_2;
+    double inverse_2 = 0.0;
+    double pivot_3;
+    double inverse_3 = 0.0;
+    late_gps_status_t status;
+
+    /* how late row 0 of y is, gps_east */
+    if ((present & 0x1u) != 0u)
+    {
+        const double t0 = 8.0 - params->delay_gps_east;
+        const double t1 = late_gps_floor(params->delay_gps_east) - params->delay_gps_east;
+        if (!((params->delay_gps_east >= 0.0) && (t0 >= 0.0) && (t1 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x1u) != 0u)
+    {
+        const double t2 = (predicted_samples_before - params->delay_gps_east) + 0.5;
+        if (t2 > 0.0)
+        {
+            row_0[0] = y[0];
+            age_0[0] = params->delay_gps_east;
+            late_0[0] = (0.5 < params->delay_gps_east) ? 1.0 : 0.0;
+        }
+    }
+
+    /* how late row 1 of y is, gps_north */
+    status = late_gps_how_late_row_2(predicted_samples_before, y, row_1, age_1, late_1, row_2,
+        age_2, late_2, row_3, age_3, late_3, row_0[0], age_0[0], predicted_state, past_state,
+        past_state_2, predicted_covariance, past_covariance, past_covariance_2, past_rows,
+        past_rows_2, past_delay, past_delay_2, past_parameters, past_parameters_2, late_0[0],
+        longest_delay, signal, signal_cross, signal_own, late_nis, late_log_likelihood,
+        innovation_0, innovation_1, innovation_2, innovation_3, variance, mean, covariance,
+        quadratic, log_constant, determinant_0, params, present);
+    if (status != LATE_GPS_OK) { return status; }
+
+    /* row 1 of y, gps_north */
+    pivot_1 = covariance[2] + 1.0;
+    if ((present & 0x2u) != 0u)
+    {
+        const double t3 = 0.5 - late_1[0];
+        const double t4 = age_1[0] + 0.5;
+        const double t5 = (t3 < t4) ? t3 : t4;
+        if (t5 > 0.0)
+        {
+            if (!(pivot_1 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_1 = 1.0 / pivot_1;
+            const double t6 = innovation_1[0] - (mean[1] - past_state[1]);
+            const double t7 = t6 * inverse_1;
+            quadratic[0] = quadratic[0] + (t6 * t7);
+            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
+            determinant_0[0] = determinant_0[0] * pivot_1;
+            mean[0] = mean[0] + (covariance[1] * t7);
+            mean[1] = mean[1] + (covariance[2] * t7);
+            mean[2] = mean[2] + (covariance[4] * t7);
+            mean[3] = mean[3] + (covariance[7] * t7);
+            covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
+            const double t8 = covariance[2] * inverse_1;
+            const double t9 = covariance[1] - (t8 * covariance[1]);
+            const double t10 = covariance[2] - (t8 * covariance[2]);
+            const double t11 = covariance[4] * inverse_1;
+            covariance[3] = covariance[3] - (t11 * covariance[1]);
+            const double t12 = covariance[4] - (t11 * covariance[2]);
+            covariance[5] = covariance[5] - (t11 * covariance[4]);
+            const double t13 = covariance[7] * inverse_1;
+            covariance[6] = covariance[6] - (t13 * covariance[1]);
+            const double t14 = covariance[7] - (t13 * covariance[2]);
+            covariance[8] = covariance[8] - (t13 * covariance[4]);
+            covariance[9] = covariance[9] - (t13 * covariance[7]);
+            covariance[1] = t9;
+            covariance[2] = t10;
+            covariance[4] = t12;
+            covariance[7] = t14;
+        }
+    }
+
+    /* row 2 of y, gps_v_east */
+    pivot_2 = covariance[5] + 0.09;
+    if ((present & 0x4u) != 0u)
+    {
+        const double t15 = 0.5 - late_2[0];
+        const double t16 = age_2[0] + 0.5;
+        const double t17 = (t15 < t16) ? t15 : t16;
+        if (t17 > 0.0)
+        {
+            if (!(pivot_2 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_2 = 1.0 / pivot_2;
+            const double t18 = innovation_2[0] - (mean[2] - past_state[2]);
+            const double t19 = t18 * inverse_2;
+            quadratic[0] = quadratic[0] + (t18 * t19);
+            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
+            determinant_0[0] = determinant_0[0] * pivot_2;
+            mean[0] = mean[0] + (covariance[3] * t19);
+            mean[1] = mean[1] + (covariance[4] * t19);
+            mean[2] = mean[2] + (covariance[5] * t19);
+            mean[3] = mean[3] + (covariance[8] * t19);
+            covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
+            const double t20 = covariance[4] * inverse_2;
+            covariance[1] = covariance[1] - (t20 * covariance[3]);
+            covariance[2] = covariance[2] - (t20 * covariance[4]);
+            const double t21 = covariance[5] * inverse_2;
+            const double t22 = covariance[3] - (t21 * covariance[3]);
+            const double t23 = covariance[4] - (t21 * covariance[4]);
+            const double t24 = covariance[5] - (t21 * covariance[5]);
+            const double t25 = covariance[8] * inverse_2;
+            covariance[6] = covariance[6] - (t25 * covariance[3]);
+            covariance[7] = covariance[7] - (t25 * covariance[4]);
+            const double t26 = covariance[8] - (t25 * covariance[5]);
+            covariance[9] = covariance[9] - (t25 * covariance[8]);
+            covariance[3] = t22;
+            covariance[4] = t23;
+            covariance[5] = t24;
+            covariance[8] = t26;
+        }
+    }
+
+    /* row 3 of y, gps_v_north */
+    pivot_3 = covariance[9] + 0.09;
+    if ((present & 0x8u) != 0u)
+    {
+        const double t27 = 0.5 - late_3[0];
+        const double t28 = age_3[0] + 0.5;
+        const double t29 = (t27 < t28) ? t27 : t28;
+        if (t29 > 0.0)
+        {
+            if (!(pivot_3 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_3 = 1.0 / pivot_3;
+            const double t30 = innovation_3[0] - (mean[3] - past_state[3]);
+            const double t31 = t30 * inverse_3;
+            quadratic[0] = quadratic[0] + (t30 * t31);
+            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
+            determinant_0[0] = determinant_0[0] * pivot_3;
+            mean[0] = mean[0] + (covariance[6] * t31);
+            mean[1] = mean[1] + (covariance[7] * t31);
+            mean[2] = mean[2] + (covariance[8] * t31);
+            mean[3] = mean[3] + (covariance[9] * t31);
+            covariance[0] = covariance[0] - (covariance[6] * inverse_3 * covariance[6]);
+            const double t32 = covariance[7] * inverse_3;
+            covariance[1] = covariance[1] - (t32 * covariance[6]);
+            covariance[2] = covariance[2] - (t32 * covariance[7]);
+            const double t33 = covariance[8] * inverse_3;
+            covariance[3] = covariance[3] - (t33 * covariance[6]);
+            covariance[4] = covariance[4] - (t33 * covariance[7]);
+            covariance[5] = covariance[5] - (t33 * covariance[8]);
+            const double t34 = covariance[9] * inverse_3;
+            covariance[6] = covariance[6] - (t34 * covariance[6]);
+            covariance[7] = covariance[7] - (t34 * covariance[7]);
+            covariance[8] = covariance[8] - (t34 * covariance[8]);
+            covariance[9] = covariance[9] - (t34 * covariance[9]);
+        }
+    }
+    if (!late_gps_finite((late_gps_defect(mean[0]) + late_gps_defect(mean[1])) +
+        (late_gps_defect(mean[2]) + late_gps_defect(mean[3]))))
+    {
+        return LATE_GPS_RESULT_NOT_FINITE;
+    }
+    all_innovations[0] = innovation_0[0];
+    all_innovations[1] = innovation_1[0];
+    all_innovations[2] = innovation_2[0];
+    all_innovations[3] = innovation_3[0];
+    late_gps_copy(variance, all_variances, 10);
+    return LATE_GPS_OK;
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps_params_t *params,
     const double *y, uint32_t present, late_gps_t *next)
@@ -1867,7 +1248,7 @@ static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps
     double age_3 = -1.0;
     double signal[4] = { 0.0 };
     double signal_cross[16] = { 0.0 };
-    double signal_covariance[10] = { 0.0 };
+    double signal_own[16] = { 0.0 };
     double late_nis = 0.0;
     double late_log_likelihood = 0.0;
     double longest_delay = 0.0;
@@ -1875,14 +1256,11 @@ static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps
     double innovation_1 = 0.0;
     double innovation_2 = 0.0;
     double innovation_3 = 0.0;
-    double variance[10] = { 0.0 };
     double mean[4] = { 0.0 };
     double covariance[10] = { 0.0 };
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
-    double pivot_3;
-    double inverse_3 = 0.0;
     double all_innovations[4] = { 0.0 };
     double all_variances[10] = { 0.0 };
     late_gps_status_t status;
@@ -1893,109 +1271,21 @@ static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps
     }
 
     /* how late row 0 of y is, gps_east */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = 8.0 - params->delay_gps_east;
-        const double t1 = late_gps_floor(params->delay_gps_east) - params->delay_gps_east;
-        if (!((params->delay_gps_east >= 0.0) && (t0 >= 0.0) && (t1 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x1u) != 0u)
-    {
-        const double t2 = (self->predicted_samples_before - params->delay_gps_east) + 0.5;
-        if (t2 > 0.0)
-        {
-            row_0 = y[0];
-            age_0 = params->delay_gps_east;
-            late_0 = (0.5 < params->delay_gps_east) ? 1.0 : 0.0;
-        }
-    }
-
-    /* how late row 1 of y is, gps_north */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t3 = 8.0 - params->delay_gps_north;
-        const double t4 = late_gps_floor(params->delay_gps_north) - params->delay_gps_north;
-        if (!((params->delay_gps_north >= 0.0) && (t3 >= 0.0) && (t4 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t5 = (self->predicted_samples_before - params->delay_gps_north) + 0.5;
-        if (t5 > 0.0)
-        {
-            row_1 = y[1];
-            age_1 = params->delay_gps_north;
-            late_1 = (0.5 < params->delay_gps_north) ? 1.0 : 0.0;
-        }
-    }
-
-    /* how late row 2 of y is, gps_v_east */
-    status = late_gps_how_late_row(self->predicted_samples_before, y, &row_2, &age_2, &late_2,
-        &row_3, &age_3, &late_3, row_0, row_1, age_0, age_1, self->predicted_state,
-        next->past_state, self->past_state, self->predicted_covariance, next->past_covariance,
-        self->past_covariance, next->past_rows, self->past_rows, next->past_delay, self->past_delay,
-        next->past_parameters, self->past_parameters, late_0, late_1, &longest_delay, signal_cross,
-        signal, signal_covariance, &late_nis, &late_log_likelihood, &innovation_0, &innovation_1,
-        &innovation_2, &innovation_3, variance, mean, covariance, &quadratic, &log_constant,
-        &determinant_0, params, present);
+    status = late_gps_how_late_row_3(self->predicted_samples_before, y, &row_0, &age_0, &late_0,
+        &row_1, &age_1, &late_1, &row_2, &age_2, &late_2, &row_3, &age_3, &late_3,
+        self->predicted_state, next->past_state, self->past_state, self->predicted_covariance,
+        next->past_covariance, self->past_covariance, next->past_rows, self->past_rows,
+        next->past_delay, self->past_delay, next->past_parameters, self->past_parameters,
+        &longest_delay, signal, signal_cross, signal_own, &late_nis, &late_log_likelihood,
+        &innovation_0, &innovation_1, &innovation_2, &innovation_3, mean, covariance, &quadratic,
+        &log_constant, &determinant_0, all_innovations, all_variances, params, present);
     if (status != LATE_GPS_OK) { return status; }
-
-    /* row 3 of y, gps_v_north */
-    pivot_3 = covariance[9] + 0.09;
-    if ((present & 0x8u) != 0u)
-    {
-        const double t6 = 0.5 - late_3;
-        const double t7 = age_3 + 0.5;
-        const double t8 = (t6 < t7) ? t6 : t7;
-        if (t8 > 0.0)
-        {
-            if (!(pivot_3 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_3 = 1.0 / pivot_3;
-            const double t9 = innovation_3 - (mean[3] - next->past_state[3]);
-            const double t10 = t9 * inverse_3;
-            quadratic = quadratic + (t9 * t10);
-            log_constant = log_constant + LATE_GPS_LOG_2_PI;
-            determinant_0 = determinant_0 * pivot_3;
-            mean[0] = mean[0] + (covariance[6] * t10);
-            mean[1] = mean[1] + (covariance[7] * t10);
-            mean[2] = mean[2] + (covariance[8] * t10);
-            mean[3] = mean[3] + (covariance[9] * t10);
-            covariance[0] = covariance[0] - (covariance[6] * inverse_3 * covariance[6]);
-            const double t11 = covariance[7] * inverse_3;
-            covariance[1] = covariance[1] - (t11 * covariance[6]);
-            covariance[2] = covariance[2] - (t11 * covariance[7]);
-            const double t12 = covariance[8] * inverse_3;
-            covariance[3] = covariance[3] - (t12 * covariance[6]);
-            covariance[4] = covariance[4] - (t12 * covariance[7]);
-            covariance[5] = covariance[5] - (t12 * covariance[8]);
-            const double t13 = covariance[9] * inverse_3;
-            covariance[6] = covariance[6] - (t13 * covariance[6]);
-            covariance[7] = covariance[7] - (t13 * covariance[7]);
-            covariance[8] = covariance[8] - (t13 * covariance[8]);
-            covariance[9] = covariance[9] - (t13 * covariance[9]);
-        }
-    }
-    if (!late_gps_finite((late_gps_defect(mean[0]) + late_gps_defect(mean[1])) +
-        (late_gps_defect(mean[2]) + late_gps_defect(mean[3]))))
-    {
-        return LATE_GPS_RESULT_NOT_FINITE;
-    }
-    all_innovations[0] = innovation_0;
-    all_innovations[1] = innovation_1;
-    all_innovations[2] = innovation_2;
-    all_innovations[3] = innovation_3;
-    late_gps_copy(variance, all_variances, 10);
 
     /* innovations about what was known before this sample */
     status = late_gps_innovations_about_what_was(longest_delay, late_0, age_0, next->past_state,
         self->predicted_state, innovation_0, all_innovations, row_0, signal, late_1, age_1,
         innovation_1, row_1, late_2, age_2, innovation_2, row_2, late_3, age_3, innovation_3, row_3,
-        signal_covariance, self->predicted_covariance, &signal_cross[1], all_variances, quadratic,
+        signal_own, self->predicted_covariance, &signal_cross[1], all_variances, quadratic,
         late_nis, determinant_0, log_constant, late_log_likelihood, covariance, mean,
         next->filtered_state, next->filtered_covariance, self->predicted_samples_before,
         &next->samples_before, next->innovation, next->innovation_covariance, &next->nis,

@@ -20,9 +20,10 @@ from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.hindsight.delays import AGE, HALF, Delays
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.index import At, Whole
+from fkgen.symbolic.dense import fill
+from fkgen.symbolic.index import At, Whole, variable
 from fkgen.symbolic.interface import Kind, Port, Status, triangle
-from fkgen.symbolic.linalg import by_rows, column, from_rows, outer_lower, pack, unpack
+from fkgen.symbolic.linalg import by_rows, column, from_rows, outer_lower, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import PARAMETER, carried
 
@@ -143,13 +144,14 @@ class Replay:
             for row, _, name in self.delays.rows:
                 longest = ca.fmax(longest, plant.parameters[name] * late[row])
             passage.longest = longest = builder.define("longest_delay", longest)
+            passage.prepare()
             count = self.samples
             passage.ages = builder.table("ages", [float(age) for age in range(count)])
             with (
                 builder.if_positive(longest - HALF),
-                builder.loop("i", 0, count - 1) as i,
+                builder.loop("past", 0, count - 1) as past,
             ):
-                age = count - 1 - i
+                age = count - 1 - past
                 value = builder.define("replayed_age", builder.at(passage.ages, age))
                 with _once(builder, longest - value + HALF, "once"):
                     passage.pass_over(age, value)
@@ -185,15 +187,41 @@ class _Passage:
     log_likelihood: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
-        n, m = self.replay.delays.n, len(self.rows)
-        builder, entries = self.builder, len(triangle(n))
+        builder, n = self.builder, self.replay.delays.n
+        entries = len(triangle(n))
         self.state = builder.local("replayed_state", n, initial=0.0)
         self.covariance = builder.local("replayed_covariance", entries, initial=0.0)
-        self.mean = builder.local("signal", m, initial=0.0)
-        self.cross = builder.local("signal_cross", m * n, initial=0.0)
-        self.own = builder.local("signal_covariance", len(triangle(m)), initial=0.0)
+        self.mean, self.cross, self.own = self._signals("signal")
+        builder.local("signal_seen", max(len(self.rows), 2), initial=0.0)
         self.nis = builder.local("late_nis", 1, initial=0.0)
         self.log_likelihood = builder.local("late_log_likelihood", 1, initial=0.0)
+
+    def prepare(self) -> None:
+        """Put late rows where loops find them."""
+        builder, m = self.builder, len(self.rows)
+        rows = {
+            "late_flag": [self.late[row] for row in self.rows],
+            "late_by": self.delay,
+            "late_seen": [builder.symbol(f"row_{row}") for row in self.rows],
+            "late_noise": [self.plant.R[row, row] for row in self.rows],
+        }
+        for name, values in rows.items():
+            builder.local(name, max(m, 2), initial=0.0)
+            with builder.if_positive(self.longest - HALF):
+                builder.assign({name: _padded(column(values))})
+
+    def _signals(self, name: str) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Variables for mean, covariance with the state and covariance of what late rows saw.
+
+        Loops reach into them, so they are arrays, of two numbers at least.
+        """
+        n, m = self.replay.delays.n, len(self.rows)
+        sizes = {name: m, f"{name}_cross": m * n, f"{name}_own": m * m}
+        found = [
+            self.builder.local(each, max(size, 2), initial=0.0)[:size]
+            for each, size in sizes.items()
+        ]
+        return found[0], found[1], found[2]
 
     @property
     def rows(self) -> list[int]:
@@ -219,153 +247,180 @@ class _Passage:
 
     def pass_over(self, age: Whole, value: ca.SX) -> None:
         """From a past sample to the next one."""
-        builder, replay = self.builder, self.replay
-        raw = replay.plant
+        builder, replay, raw = self.builder, self.replay, self.replay.plant
         A, C, D, d = self.sampled([raw.A, raw.C, raw.D, raw.d], age)
         if replay.driven:
             d = D @ self.at(INPUTS, age, raw.nu) + d
         A, C, d = builder.name_all("replayed", (A, C, d))
         with _once(builder, value - self.longest + HALF, "first"):
             self.load(age)
-        for q, row in enumerate(self.rows):
-            about = self.late[row] * _is(self.delay[q], value) - HALF
-            with _once(builder, about, "begun"):
-                self.begin(q, C[row, :], d[row])
-        for row in range(raw.ny):
-            c = C[row, :].T
-            if row not in self.rows:
-                with _once(builder, self.at_one(LATE, age, row) + HALF, "there"):
-                    variance = self.sampled([raw.R[row, row]], age)[0]
-                    self.take(f"_{row}", c, self.at_one(ROWS, age, row) - d[row], variance)
-                continue
-            with builder.loop("b", 1, age + 1) as b:
-                apart = value - builder.at(self.ages, b)
-                with _once(builder, _is(self.at_one(LATE, b, row), apart) - HALF, "there"):
-                    variance = self.sampled([raw.R[row, row]], b)[0]
-                    self.take(f"_{row}", c, self.at_one(ROWS, b, row) - d[row], variance)
-        self.move(A)
+        self.begin(C, d, value)
+        names = [
+            fill(builder, f"replayed_{of}", _entries(M)) for of, M in (("rows", C), ("offsets", d))
+        ]
+        p = raw.ny
+        with builder.loop("b", 1, age + 1) as b:
+            (noise,) = self.sampled([ca.diag(raw.R)], b)
+            names.append(fill(builder, "replayed_noise", _entries(noise)))
+            apart = builder.define("apart", value - builder.at(self.ages, b))
+            with builder.loop("row", 0, p) as row:
+                about = _is(builder.at(LATE, p * b + row), apart) - HALF
+                with _once(builder, about, "there"):
+                    c = self.row(names[0], row)
+                    seen = builder.at(ROWS, p * b + row) - builder.at(names[1], row)
+                    self.take(c, seen, builder.at(names[2], row))
+        with builder.loop("q", 0, len(self.rows)) as q:
+            along = builder.define("signal_row", self.row("signal_cross", q))
+            self.put("signal_cross", q, A @ along)
         self.revise(age - 1, value)
 
     def load(self, age: Whole) -> None:
         """Take up a prediction as it was before this sample."""
         n = self.replay.delays.n
-        self.builder.assign(
-            {
-                "replayed_state": self.at(STATE, age, n),
-                "replayed_covariance": self.at(COVARIANCE, age, len(triangle(n))),
-            }
-        )
+        self.copy("replayed_state", At(STATE, n * age), n)
+        entries = len(triangle(n))
+        self.copy("replayed_covariance", At(COVARIANCE, entries * age), entries)
 
-    def at_one(self, name: str, age: Whole, row: int) -> ca.SX:
-        """What is kept of one row."""
-        return self.builder.at(name, self.plant.ny * age + row)
+    def copy(self, variable: str, kept: At, size: int, *, back: bool = False) -> None:
+        """A variable from where a sample is kept, or back to there."""
+        builder = self.builder
+        if size == 1:
+            here, there = builder.symbol(variable), builder.read(kept)
+            builder.assign({kept: here} if back else {variable: there})
+            return
+        with builder.loop("i", 0, size) as i:
+            own, other = At(variable, i), At(kept.name, kept.index + i)
+            to, source = (other, own) if back else (own, other)
+            builder.assign({to: builder.read(source)})
 
-    def begin(self, q: int, c: ca.SX, offset: ca.SX) -> None:
-        """What a late row saw, at its sample."""
-        m = len(self.rows)
-        seen = unpack(self.covariance, self.replay.delays.n) @ c.T
-        cross, own = from_rows(self.cross, m), unpack(self.own, m)
-        for j in range(m):
-            own[q, j] = own[j, q] = ca.mtimes(cross[j, :], c.T)
-        own[q, q] = ca.mtimes(c, seen)
-        cross[q, :] = seen.T
-        mean = ca.SX(self.mean)
-        mean[q] = ca.mtimes(c, self.state) + offset
-        self.builder.assign(
-            {"signal": mean, "signal_cross": by_rows(cross), "signal_covariance": pack(own)}
-        )
+    def begin(self, C: ca.SX, d: ca.SX, value: ca.SX) -> None:
+        """What late rows saw, at their sample."""
+        builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
+        sensed = fill(builder, "late_rows", _entries(C[self.rows, :]))
+        offsets = fill(builder, "late_offsets", _entries(d[self.rows, :]))
+        with builder.loop("q", 0, m) as q:
+            about = builder.at("late_flag", q) * _is(builder.at("late_by", q), value) - HALF
+            with _once(builder, about, "begun"):
+                c = builder.define("late_row", self.row(sensed, q))
+                mean = ca.dot(c, self.state) + builder.at(offsets, q)
+                seen = unpack(self.covariance, n) @ c
+                builder.assign({At("signal", q): mean})
+                self.put("signal_cross", q, seen)
+                with builder.loop("j", 0, m) as j:
+                    shared = ca.dot(self.row("signal_cross", j), c)
+                    shared = builder.define("shared_signal", shared)
+                    builder.assign({At("signal_own", m * q + j): shared})
+                    builder.assign({At("signal_own", m * j + q): shared})
 
-    def take(self, tag: str, c: ca.SX, seen: ca.SX, variance: ca.SX) -> None:
+    def take(self, c: ca.SX, seen: ca.SX, variance: ca.SX) -> None:
         """Correct states, and what late rows saw, with a row of a past sample."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
-        cross = builder.define(f"replayed_cross{tag}", unpack(self.covariance, n) @ c)
-        pivot = builder.define(f"replayed_pivot{tag}", ca.mtimes(c.T, cross) + variance)
+        c = builder.define("replayed_row", c)
+        cross = builder.define("replayed_cross", unpack(self.covariance, n) @ c)
+        pivot = builder.define("replayed_pivot", ca.dot(c, cross) + variance)
         builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-        inverse = builder.define(f"replayed_inverse{tag}", 1 / pivot)
-        weight = (seen - ca.mtimes(c.T, self.state)) * inverse
-        weight = builder.define(f"replayed_weight{tag}", weight)
-        along = from_rows(self.cross, m)
-        own = builder.define(f"signal_seen{tag}", along @ c)
-        gain = own * inverse
+        inverse = builder.define("replayed_inverse", 1 / pivot)
+        weight = (seen - ca.dot(c, self.state)) * inverse
+        weight = builder.define("replayed_weight", weight)
         builder.assign(
             {
                 "replayed_state": self.state + cross * weight,
                 "replayed_covariance": self.covariance - outer_lower(cross * inverse, cross),
-                "signal": self.mean + own * weight,
-                "signal_cross": by_rows(along - gain @ cross.T),
-                "signal_covariance": self.own - outer_lower(gain, own),
             }
         )
+        with builder.loop("q", 0, m) as q:
+            builder.assign({At("signal_seen", q): ca.dot(self.row("signal_cross", q), c)})
+        with builder.loop("q", 0, m) as q:
+            own = builder.at("signal_seen", q)
+            gain = builder.define("signal_gain", own * inverse)
+            builder.assign({At("signal", q): builder.at("signal", q) + own * weight})
+            self.put("signal_cross", q, self.row("signal_cross", q) - gain * cross)
+            with builder.loop("j", 0, m) as j:
+                left = builder.at("signal_own", m * q + j) - gain * builder.at("signal_seen", j)
+                builder.assign({At("signal_own", m * q + j): left})
 
-    def move(self, A: ca.SX) -> None:
-        """The covariances of what late rows saw with the state of the next sample."""
-        moved = from_rows(self.cross, len(self.rows)) @ A.T
-        self.builder.assign({"signal_cross": by_rows(moved)})
+    def row(self, name: str, q: Whole) -> ca.SX:
+        """One row of a matrix with n columns."""
+        n = self.replay.delays.n
+        return column([self.builder.at(name, n * q + i) for i in range(n)])
+
+    def put(self, name: str, q: Whole, values: ca.SX) -> None:
+        """The same, assigned."""
+        n = self.replay.delays.n
+        self.builder.assign({At(name, n * q + i): values[i] for i in range(n)})
 
     def revise(self, age: Whole, value: ca.SX) -> None:
         """Correct the prediction of the next sample with what is late and older."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
-        entries, count = len(triangle(n)), range(m)
+        entries = len(triangle(n))
         self.load(age)
-        start = {
-            "revised_state": self.state,
-            "revised_covariance": self.covariance,
-            "revised_signal": self.mean,
-            "revised_cross": self.cross,
-            "revised_own": self.own,
-        }
-        for name, begun in start.items():
-            if not builder.has(name):
-                builder.local(name, begun.numel(), initial=0.0)
-        builder.assign(start)
-        x, P, h, along, own = (builder.symbol(name) for name in start)
-        for q in count:
-            row = self.rows[q]
-            older = self.late[row] * (self.delay[q] - value + HALF)
+        if not builder.has("revised_state"):
+            builder.local("revised_state", n, initial=0.0)
+            builder.local("revised_covariance", entries, initial=0.0)
+            self._signals("revised")
+        builder.assign({"revised_state": self.state, "revised_covariance": self.covariance})
+        self.set_out()
+        x, P = builder.symbol("revised_state"), builder.symbol("revised_covariance")
+        with builder.loop("q", 0, m) as q:
+            older = builder.at("late_flag", q) * (builder.at("late_by", q) - value + HALF)
             with _once(builder, older, "older"):
-                whole = unpack(own, m)
-                pivot = builder.define(f"late_pivot_{q}", whole[q, q] + self.plant.R[row, row])
-                builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-                inverse = builder.define(f"late_inverse_{q}", 1 / pivot)
-                weight = (builder.symbol(f"row_{row}") - h[q]) * inverse
-                weight = builder.define(f"late_weight_{q}", weight)
-                rows = from_rows(along, m)
-                cross, shared = rows[q, :].T, whole[:, q]
+                inverse, known, shared, _ = self.given_late(q)
+                weight = builder.define("late_weight", known * inverse)
+                cross = builder.define("late_cross", self.row("revised_cross", q))
                 builder.assign(
                     {
                         "revised_state": x + cross * weight,
                         "revised_covariance": P - outer_lower(cross * inverse, cross),
-                        "revised_signal": h + shared * weight,
-                        "revised_cross": by_rows(rows - (shared * inverse) @ cross.T),
-                        "revised_own": own - outer_lower(shared * inverse, shared),
                     }
                 )
-        builder.assign({At(STATE, n * age + i): x[i] for i in range(n)})
-        builder.assign({At(COVARIANCE, entries * age + i): P[i] for i in range(entries)})
+                with builder.loop("j", 0, m) as j:
+                    share = builder.define("late_share", builder.at(shared, j) * inverse)
+                    left = self.row("revised_cross", j) - share * cross
+                    self.put("revised_cross", j, left)
+        self.copy("revised_state", At(STATE, n * age), n, back=True)
+        self.copy("revised_covariance", At(COVARIANCE, entries * age), entries, back=True)
+
+    def set_out(self) -> None:
+        """Late rows before any of them is taken in."""
+        found = {"revised": self.mean, "revised_cross": self.cross, "revised_own": self.own}
+        self.builder.assign({name: _padded(value) for name, value in found.items()})
+
+    def given_late(self, q: Whole, tag: str = "") -> tuple[ca.SX, ca.SX, str, ca.SX]:
+        """Take a late row in, as far as late rows go; 1/S, what is new of it, its row, and S."""
+        builder, m = self.builder, len(self.rows)
+        shared = f"late_shared{tag}"
+        builder.local(shared, max(m, 2), initial=0.0)
+        with builder.loop("j", 0, m) as j:
+            builder.assign({At(shared, j): builder.at("revised_own", m * q + j)})
+        pivot = builder.at("revised_own", m * q + q) + builder.at("late_noise", q)
+        pivot = builder.define(f"late_pivot{tag}", pivot)
+        builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+        inverse = builder.define(f"late_inverse{tag}", 1 / pivot)
+        known = builder.at("late_seen", q) - builder.at("revised", q)
+        known = builder.define(f"late_news{tag}", known)
+        with builder.loop("a", 0, m) as a:
+            gain = builder.define(f"late_gain{tag}", builder.at(shared, a) * inverse)
+            builder.assign({At("revised", a): builder.at("revised", a) + gain * known})
+            with builder.loop("j", 0, m) as j:
+                left = builder.at("revised_own", m * a + j) - gain * builder.at(shared, j)
+                builder.assign({At("revised_own", m * a + j): left})
+        return inverse, known, shared, pivot
 
     def judge(self) -> None:
         """How well the late rows fit what was known before this sample."""
-        builder, m = self.builder, len(self.rows)
-        builder.assign({"revised_signal": self.mean, "revised_own": self.own})
-        h, own = builder.symbol("revised_signal"), builder.symbol("revised_own")
-        for q, row in enumerate(self.rows):
-            y = builder.symbol(f"row_{row}")
-            with _once(builder, self.late[row] - HALF, "late_row"):
-                whole = unpack(own, m)
-                pivot = builder.define(f"late_pivot_{q}_now", whole[q, q] + self.plant.R[row, row])
-                inverse = builder.define(f"late_inverse_{q}_now", 1 / pivot)
-                known = builder.define(f"late_given_before_{q}", y - h[q])
-                nis = known * known * inverse
-                shared = whole[:, q]
-                builder.assign(
-                    {
-                        "late_nis": self.nis + nis,
-                        "late_log_likelihood": self.log_likelihood
-                        - 0.5 * (nis + ca.log(pivot) + LOG_TWO_PI),
-                        "revised_signal": h + shared * (known * inverse),
-                        "revised_own": own - outer_lower(shared * inverse, shared),
-                    }
-                )
+        builder = self.builder
+        self.set_out()
+        flag = builder.at("late_flag", variable("q")) - HALF
+        with builder.loop("q", 0, len(self.rows)) as q, _once(builder, flag, "late_row"):
+            inverse, known, _, pivot = self.given_late(q, "_now")
+            nis = known * known * inverse
+            density = nis + ca.log(pivot) + LOG_TWO_PI
+            builder.assign(
+                {
+                    "late_nis": self.nis + nis,
+                    "late_log_likelihood": self.log_likelihood - 0.5 * density,
+                }
+            )
 
     def prior(self) -> tuple[ca.SX, ca.SX]:
         """The prediction of this sample that knows what is late."""
@@ -422,7 +477,7 @@ class _Passage:
     def _covariance(self, prior: ca.SX) -> ca.SX:
         """The covariance of innovations about what was known before this sample, packed."""
         plant, m = self.plant, len(self.rows)
-        own, cross = unpack(self.own, m), from_rows(self.cross, m)
+        own, cross = from_rows(self.own, m), from_rows(self.cross, m)
         items = {row: q for q, row in enumerate(self.rows)}
         seen = plant.C @ unpack(prior, self.replay.delays.n)
         entries = []
@@ -437,6 +492,17 @@ class _Passage:
                 value += self.late[i] * self.late[j] * (own[items[i], items[j]] - value)
             entries.append(value + plant.R[i, j])
         return column(entries)
+
+
+def _entries(matrix: ca.SX) -> list[ca.SX]:
+    """The entries of a matrix by rows, for an array, which has two at least."""
+    values = ca.vertsplit(by_rows(ca.SX(matrix)))
+    return [*values, ca.SX(0)] if len(values) < 2 else values
+
+
+def _padded(values: ca.SX) -> ca.SX:
+    """A column that is an array, of two numbers at least."""
+    return ca.densify(ca.vertcat(values, 0) if values.numel() < 2 else values)
 
 
 def _is(value: ca.SX, whole: ca.SX) -> ca.SX:
