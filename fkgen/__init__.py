@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from fkgen.study.effects.detectability import Detectability, detectability
     from fkgen.study.effects.effect import FaultEffect
     from fkgen.study.effects.fault_effect import fault_effect
+    from fkgen.study.reports.page import Page, report
     from fkgen.symbolic.validated import Claim, Validated
     from fkgen.trials.simulation import Simulation, simulate
 
@@ -55,6 +56,7 @@ _HOMES = {
     "fkgen.study.effects.fault_effect": ("fault_effect",),
     "fkgen.study.effects.effect": ("FaultEffect",),
     "fkgen.study.effects.detectability": ("detectability", "Detectability"),
+    "fkgen.study.reports.page": ("report", "Page"),
     "fkgen.symbolic.validated": ("Claim", "Validated"),
     "fkgen.backend.source": ("Source",),
     "fkgen.runtime.compiled": ("CompiledFilter",),
@@ -62,12 +64,13 @@ _HOMES = {
 }
 
 __all__ = ["Campaign", "Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect"]
-__all__ += ["Finding", "Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Sweep"]
+__all__ += ["Finding", "Page", "Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Sweep"]
 __all__ += ["Validated"]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
 __all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "generate"]
-__all__ += ["load", "montecarlo", "profiles", "simulate", "sweep", "validate"]
+__all__ += ["load", "montecarlo", "profiles", "report", "simulate", "sweep"]
+__all__ += ["validate"]
 
 
 def __getattr__(name: str) -> Any:
