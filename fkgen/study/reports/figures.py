@@ -148,6 +148,7 @@ def draw_whiteness(spec: Spec, found: Sequence[Array], counts: Sequence[int]) ->
         reach = max(3.0 * bound, 1.2 * float(np.max(np.abs(values), initial=0.0)))
         axis.set_ylim(-min(1.0, reach), min(1.0, reach))
         axis.set_xlim(0.0, LAGS + 1.0)
+        axis.set_xticks(range(0, LAGS + 1, 5))
         axis.set_ylabel(signal.name.replace("_", " "))
 
     draws = [partial(draw_one, signal=s, values=v, count=n) for s, v, n in rows]

@@ -99,9 +99,9 @@ def described(spec: Spec, log: Log, built: CompiledFilter) -> dict[str, Any]:
     page: dict[str, Any] = dict.fromkeys(("truth", "innovations", "whiteness", "nis", "verdicts"))
     page |= {"file": file, "summary": f"{log.summary}.", "errors": [], "white": [], "declared": []}
     page["notes"] = [f"{each[:1].upper()}{each[1:]}." for each in _said(table)]
-    seen = f"the record {file}: estimates within three standard deviations, grey where nothing came"
     figure = draw(spec, table, run, parts=("states",), truth=log.truth)
-    page["states"] = Picture.of(figure, "record-states", "Estimates over the record", f"Of {seen}.")
+    text = "Estimates within three standard deviations; grey bars where no row of y came."
+    page["states"] = Picture.of(figure, "record-states", "Estimates over the record", text)
     if log.truth is not None:
         page |= _errors(spec, log)
     if "innovation" in run.ports:

@@ -45,8 +45,8 @@ def name(identifier: str) -> str:
 
 
 def number(value: float) -> str:
-    """A number with the digits that give it back; a large or small one with a power of ten."""
-    text = repr(value).removesuffix(".0")
+    """A number to twelve digits; a large or small one with a power of ten."""
+    text = f"{value:.12g}"
     if text.startswith("-"):
         return f"<mrow><mo>{_MINUS}</mo>{number(-value)}</mrow>"
     digits, _, exponent = text.partition("e")
@@ -143,7 +143,7 @@ def _size(rows: int, columns: int) -> str:
 
 
 def _bracketed(rows: str) -> str:
-    return f'<mtable class="matrix">{rows}</mtable>'
+    return f'<mtable class="matrix" displaystyle="true">{rows}</mtable>'
 
 
 def _round(inner: str) -> str:

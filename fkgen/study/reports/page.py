@@ -350,7 +350,7 @@ def _modes(spec: Spec) -> Iterator[list[str]]:
     law = stationary_law(transition)
     for i, mode in enumerate(faults.chain(spec.model).modes):
         stays = float(transition[i, i])
-        mean = "for ever" if stays >= 1.0 else f"{1.0 / (1.0 - stays):.4g}"
+        mean = "for ever" if stays >= 1.0 else f"{1.0 / (1.0 - stays):,.1f}"
         title = f": {mode.title}" if mode.title else ""
         yield [f"{i}{title}", "-" if law is None else f"{float(law[i]):.4g}", mean]
 
