@@ -142,7 +142,7 @@ def _sample(
 
 def _table(told: FilterInputs, steps: int) -> Table:
     """One trial as a record."""
-    u = np.zeros((steps, 0)) if told.u is None else np.asarray(told.u)
+    u = np.zeros((steps, 0)) if told.u is None else np.asarray(told.u, np.float64)
     params = {name: np.asarray(each, float) for name, each in told.params.items()}
     return Table(
         file="simulation",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -30,8 +30,8 @@ def draw_errors(spec: Spec, time: tuple[Array, str], error: Array, sd: Array) ->
 
     def draw_one(axis: Axes, i: int, signal: Signal) -> None:
         band = 3.0 * sd[:, i]
-        shade = {"color": BLUE, "alpha": BAND, "lw": 0}
-        axis.fill_between(time[0], -band, band, label=r"$\pm 3\sigma$", **shade)
+        area = (time[0], -band, band)
+        axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
         axis.plot(time[0], error[:, i], ".", ms=2.5, color=BLUE, label="true less filtered")
         axis.axhline(0.0, color="black", lw=0.6)
         known = np.abs(error[np.isfinite(error[:, i]), i])
@@ -68,9 +68,9 @@ def draw_ensemble(spec: Spec, trials: Trials, time: tuple[Array, str]) -> Figure
     return _by_state(spec, time[1], draw_one)
 
 
-def _by_state(spec: Spec, label: str, draw_one: object) -> Figure:
+def _by_state(spec: Spec, label: str, draw_one: Callable[..., None]) -> Figure:
     signals = list(enumerate(error_signals(spec.model.states)))[:LARGEST]
-    draws = [partial(draw_one, i=i, signal=signal) for i, signal in signals]  # type: ignore[call-overload]
+    draws = [partial(draw_one, i=i, signal=signal) for i, signal in signals]
     return panels([_HEIGHT] * len(draws), draws, label)
 
 

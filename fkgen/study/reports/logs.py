@@ -71,7 +71,7 @@ def read_log(
 
 
 def _truth(spec: Spec, path: Path, table: Table) -> Array:
-    """The states by name, or as `fkgen simulate` calls them, read as a record that measures them."""
+    """The states by name, or as `fkgen simulate` calls them, read as measurements of them."""
     names = [name for each in spec.model.states for name in coordinates(each)]
     headings = opened(Reading(path=path), names).headings
     prefixed = {n: f"true.{n}" for n in names if not positions(headings, n)}
@@ -93,7 +93,7 @@ def _truth(spec: Spec, path: Path, table: Table) -> Array:
     return found.y
 
 
-def described(spec: Spec, log: Log, built: CompiledFilter) -> dict[str, Any]:
+def described(spec: Spec, log: Log) -> dict[str, Any]:
     """What the page says of a record."""
     table, run, file = log.table, log.run, log.table.file
     page: dict[str, Any] = dict.fromkeys(("truth", "innovations", "whiteness", "nis", "verdicts"))
@@ -103,7 +103,7 @@ def described(spec: Spec, log: Log, built: CompiledFilter) -> dict[str, Any]:
     text = "Estimates within three standard deviations; grey bars where no row of y came."
     page["states"] = Picture.of(figure, "record-states", "Estimates over the record", text)
     if log.truth is not None:
-        page |= _errors(spec, log)
+        page |= _errors(spec, log, log.truth)
     if "innovation" in run.ports:
         figure = draw(spec, table, run, parts=("innovation",))
         text = "Measurement less its prediction; crosses were rejected by a test."
@@ -122,9 +122,9 @@ def _said(table: Table) -> Iterator[str]:
         yield text if Path(file).name == table.file else each
 
 
-def _errors(spec: Spec, log: Log) -> dict[str, Any]:
+def _errors(spec: Spec, log: Log, truth: Array) -> dict[str, Any]:
     """Errors against the truth: the picture, and their size by state."""
-    error = errors_of(spec.model.states, log.truth, log.run["filtered_state"])
+    error = errors_of(spec.model.states, truth, log.run["filtered_state"])
     variance = np.diagonal(log.run["filtered_covariance"], axis1=-2, axis2=-1)
     sd = np.sqrt(np.maximum(variance, 0.0))
     figure = draw_errors(spec, times_of(spec, log.table), error, sd)
@@ -168,8 +168,8 @@ def _declared(spec: Spec, log: Log) -> dict[str, Any]:
     run, table = log.run, log.table
     flags, how = _flags(spec, run)
     if flags is None:
-        text = "This filter declares no faults; samples beyond the bounds of the NIS are a sign of one."
-        return {"declared_text": text}
+        text = "This filter declares no faults; samples beyond the bounds of the NIS are a sign"
+        return {"declared_text": f"{text} of one."}
     spans = spans_of(flags)
     text = f"{how}: {several(len(spans), 'stretch').replace('stretchs', 'stretches')},"
     text += f" {several(int(flags.sum()), 'sample')} of {len(flags)}."

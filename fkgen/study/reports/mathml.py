@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from unicodedata import lookup
 
-from fkgen.problem.text.expression import Expression, Unfit, syntax, to_text
+from fkgen.problem.text.expression import ZERO, Expression, Unfit, syntax, to_text
 from fkgen.problem.text.matrix import Matrix
 
-#: Rows or columns of a matrix from which on only its size is shown.
-LARGEST = 12
-_GREEK = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi".split()
-_GREEK += "pi rho sigma tau upsilon phi chi psi omega".split()
+#: Rows or columns of a matrix that is written out; of one that is a list of numbers, from and to.
+LARGEST, SHORT, LONGEST = 12, 4, 24
+_GREEK = (
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa"),
+    *("lambda", "mu", "nu", "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi"),
+    "omega",
+)
 _LETTERS = {
     name: lookup(f"GREEK SMALL LETTER {name.replace('lambda', 'lamda')}") for name in _GREEK
 }
@@ -76,12 +79,25 @@ def matrix(letter: str, value: Matrix) -> str:
     rows, columns = value.shape
     if value.is_zero and rows * columns > 1:
         shown = f"<msub><mn>0</mn>{_size(rows, columns)}</msub>"
+    elif columns == 1 and SHORT < rows <= LONGEST:
+        shown = f"<msup>{_listed(row[0] for row in value.rows)}<mi>T</mi></msup>"
+    elif SHORT < rows <= LONGEST and _is_diagonal(value):
+        shown = f"<mi>diag</mi>{_listed(row[i] for i, row in enumerate(value.rows))}"
     elif max(rows, columns) > LARGEST:
         shown = f"<mtext>a matrix of{_BLANK}</mtext>{_size(rows, columns)}"
     else:
         cells = ("".join(f"<mtd>{expression(each)}</mtd>" for each in row) for row in value.rows)
         shown = _bracketed("".join(f"<mtr>{row}</mtr>" for row in cells))
     return f"{indexed(letter)}<mo>=</mo>{shown}"
+
+
+def _is_diagonal(value: Matrix) -> bool:
+    above = (each for i, row in enumerate(value.rows) for j, each in enumerate(row) if i != j)
+    return value.shape[0] == value.shape[1] and all(each == ZERO for each in above)
+
+
+def _listed(entries: Iterable[Expression]) -> str:
+    return _round(COMMA.join(map(expression, entries)))
 
 
 def indexed(letter: str) -> str:
@@ -156,10 +172,10 @@ def _printed(node: ast.expr, within: int) -> str:
     return text if strength >= within else _round(text)
 
 
-def _formula(node: ast.expr) -> tuple[str, int]:
+def _formula(node: ast.expr) -> tuple[str, int]:  # noqa: PLR0911 - one per node
     """MathML of a tree and how strongly it binds."""
     match node:
-        case ast.Constant(value):
+        case ast.Constant(int() | float() as value):
             return number(float(value)), _ATOM
         case ast.Name(identifier):
             return name(identifier), _ATOM

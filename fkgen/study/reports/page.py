@@ -24,7 +24,7 @@ from fkgen.backend.stated import faults_said
 from fkgen.console import progressing
 from fkgen.errors import DataError, UserError
 from fkgen.families import family
-from fkgen.problem import Matrix, Spec
+from fkgen.problem import Matrix, Signal, Spec
 from fkgen.problem.functions.writing import statements
 from fkgen.problem.probability import stationary_law
 from fkgen.problem.spec import as_spec
@@ -165,8 +165,8 @@ def _drive(spec: Spec, table: Table | None, u: ArrayLike | None) -> Drive:
             raise DataError("u", given="inputs", expected="none: the model has no B")
         return Drive(u=None, params=params, text="" if not params else text)
     if u is None and table is not None:
-        return Drive(u=table.u, params=params, text=text)
-    given = np.ravel(numbers("u", 1.0 if u is None else u, np.float64))
+        return Drive(u=np.asarray(table.u, float), params=params, text=text)
+    given = np.ravel(numbers("u", 1.0 if u is None else u, np.float64)).astype(np.float64)
     if given.size not in {1, len(inputs)} or not np.isfinite(given).all():
         expected = f"{len(inputs)} finite numbers, one for each input"
         raise DataError("u", given=f"{given.size} numbers", expected=expected)
@@ -199,7 +199,7 @@ def _made(spec: Spec, table: Table | None, truth: Any, drive: Drive, *, shown: b
         context["cards"] = _cards(design, source, trials)
         advance(1)
         if log is not None:
-            context["record"] = described(whole, log, built)
+            context["record"] = described(whole, log)
         context["contents"] = [*_CONTENTS, *(_OF_RECORD if log else ()), ("reproduce", "Reproduce")]
         context |= _identity(spec, source, table, truth)
         html = environment().overlay(autoescape=True).get_template("report.html.j2").render(context)
@@ -245,18 +245,18 @@ def _signals(spec: Spec) -> Iterator[list[str]]:
         count = 4 if each.manifold else 1
         symbol = f"x[{at}]" if count == 1 else f"x[{at}] to x[{at + 3}]"
         remark = "a unit quaternion (w, x, y, z), body to world" if each.manifold else ""
-        yield [each.name, "state", symbol, each.unit, remark or _wraps(each.wrap)]
+        yield [each.name, "state", symbol, each.unit, remark or _wraps(each)]
         at += count
     for role, letter, signals in (
         ("input", "u", model.inputs),
         ("measurement", "y", model.outputs),
     ):
         for i, each in enumerate(signals):
-            yield [each.name, role, f"{letter}[{i}]", each.unit, _wraps(each.wrap)]
+            yield [each.name, role, f"{letter}[{i}]", each.unit, _wraps(each)]
 
 
-def _wraps(wrap: bool) -> str:
-    return "an angle, whose differences wrap" if wrap else ""
+def _wraps(signal: Signal) -> str:
+    return "an angle, whose differences wrap" if signal.wrap else ""
 
 
 def _sample_time(spec: Spec) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
+from typing import Any
 
 import matplotlib as mpl
 from markupsafe import Markup
@@ -26,10 +27,11 @@ COLOURS = {
     "#7b5b3a": "#b8977a",
     "#5fa8b8": "#80c8d8",
 }
-_STYLE = {"svg.hashsalt": "fkgen", "svg.fonttype": "none", "path.simplify_threshold": 0.3}
+_STYLE: Any = {"svg.hashsalt": "fkgen", "svg.fonttype": "none", "path.simplify_threshold": 0.3}
 #: Dots of one kind in a panel at most, and sides of the squares of which one each is drawn.
 _DOTS, _SIDES = 4000, (0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
-_SCALE = 1.53  # pixels of a point: figures of 9 inches are as wide as the page
+#: Pixels of a point: where figures of 9 inches are as wide as the page, and on a phone.
+_SCALE, _LEAST = 1.53, 1.1
 _EDGE = 1.0  # line round a dot
 #: Vertices from which on those of a path that share a column are thinned out, and its width.
 _LONG, _COLUMN = 3000, 0.5
@@ -82,7 +84,8 @@ def inline(figure: Figure, key: str, title: str, text: str) -> str:
     view = ""
     if box is not None:
         width = float(box[0].split()[2])
-        view = f'{box[0]} style="max-width: {_SCALE * width:.0f}px"'
+        sides = f"min-width: {_LEAST * width:.0f}px; max-width: {_SCALE * width:.0f}px"
+        view = f'{box[0]} style="{sides}"'
     packed = re.sub(r">\s+<", "><", body).strip()
     return f"<svg {view} {label}>{names}</desc>{packed}"
 
@@ -111,8 +114,9 @@ def _as_dots(uses: str, dots: Mapping[str, float]) -> str:
             parts.append(f'<g style="{style}">{"".join(shared)}</g>')
             continue
         path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in _fewer(points))
-        line = f"stroke: {colour[1] or colour[2]}; stroke-width: {dots[mark] + _EDGE:g}; stroke-linecap: round"
-        parts.append(f'<path d="{path}" style="fill: none; {line}"/>')
+        line = f"fill: none; stroke: {colour[1] or colour[2]}; stroke-linecap: round"
+        width = f"{dots[mark] + _EDGE:g}"
+        parts.append(f'<path d="{path}" style="{line}; stroke-width: {width}"/>')
     return "".join(parts)
 
 
