@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
     from fkgen.study.fitting.fit import Fit, fit
     from fkgen.study.fitting.profile import Profile
+    from fkgen.study.page.page import Page, report
     from fkgen.symbolic.validated import Claim, Validated
     from fkgen.trials.simulation import Simulation, simulate
 
@@ -61,6 +62,7 @@ _HOMES = {
     "fkgen.study.fitting.autocovariance": ("autocovariance", "Autocovariance"),
     "fkgen.study.fitting.fit": ("fit", "Fit"),
     "fkgen.study.fitting.profile": ("Profile",),
+    "fkgen.study.page.page": ("report", "Page"),
     "fkgen.symbolic.validated": ("Claim", "Validated"),
     "fkgen.backend.source": ("Source",),
     "fkgen.runtime.compiled": ("CompiledFilter",),
@@ -68,13 +70,13 @@ _HOMES = {
 }
 
 __all__ = ["Autocovariance", "Campaign", "Claim", "Comparison", "CompiledFilter", "Detectability"]
-__all__ += ["FaultEffect", "Finding", "Fit", "Profile", "Report", "Run", "Simulation", "Snapshot"]
-__all__ += ["Source", "Spec", "Sweep", "Validated"]
+__all__ += ["FaultEffect", "Finding", "Fit", "Page", "Profile", "Report", "Run", "Simulation"]
+__all__ += ["Snapshot", "Source", "Spec", "Sweep", "Validated"]
 __all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
 __all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
 __all__ += ["autocovariance", "build", "check", "compare", "compile", "detectability"]
-__all__ += ["fault_effect", "fit", "generate", "load", "montecarlo", "profiles", "simulate"]
-__all__ += ["sweep", "validate"]
+__all__ += ["fault_effect", "fit", "generate", "load", "montecarlo", "profiles", "report"]
+__all__ += ["simulate", "sweep", "validate"]
 
 
 def __getattr__(name: str) -> Any:

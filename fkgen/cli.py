@@ -150,6 +150,7 @@ def main() -> None:
     fkgen fault-effect motor.toml    what a fault does to the estimate
     fkgen compare motor.toml         which family to take
     fkgen montecarlo motor.toml      is the filter right about its errors?
+    fkgen report motor.toml -o r.html   all of it on one page
     """  # noqa: D301 - \b is for click
 
 
@@ -503,6 +504,25 @@ def montecarlo(spec: Spec, *, as_json: bool, **options: Any) -> None:
         sys.exit(0 if found.consistent else 1)
     _tell(found, table_of_sweep(found), (), as_json=as_json)
     sys.exit(0 if found.consistent.all() else 1)
+
+
+@main.command()
+@_SPEC
+@click.option("-o", "--output", type=Path, help="HTML file; default: standard output.")
+@click.option("--record", type=Path, help="Record to filter, as for fkgen run.")
+@click.option("--truth", type=Path, help="Its truth: a file with a column for each state, by name.")
+@click.option("--u", "inputs", default="", help="Constant inputs of the trials: 1.5,0,...")
+@_FORCE
+@_reading
+def report(spec: Spec, *, output: Path | None, **options: Any) -> None:
+    """Write one page about the filter of SPEC: model, proof, consistency, size, how to embed it."""
+    from fkgen.study.page.page import reported
+
+    page = reported(spec, output=output, **options)
+    if output is None:
+        click.echo(page.html, nl=False)
+    else:
+        _say("note", [f"{output}: written; a browser shows it"])
 
 
 @main.command()

@@ -37,6 +37,18 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
     console().print(table)
 
 
+def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """The same for a notebook."""
+    from html import escape
+
+    def row(cells: Sequence[Any], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{escape(str(each))}</{tag[:2]}>' for each in cells)}</tr>"
+
+    body = "".join(row(each, "td") for each in rows)
+    top = row(head, 'th scope="col"')
+    return f"<table><caption>{escape(caption)}</caption><thead>{top}</thead>{body}</table>"
+
+
 @contextmanager
 def counting(*, shown: bool) -> Iterator[Advance]:
     """The same where nobody knows how many there are: a terminal shows how many there were."""

@@ -54,9 +54,18 @@ def build(spec: Spec) -> CompiledFilter:
         As the stages do.
     """
     spec = as_spec(spec)
+    found = None if ":" in spec.filter.family else cache.find(_key(spec))  # else it is not fkgen's
+    return CompiledFilter(found) if found else kept(spec, generate(validate(spec)))
+
+
+def kept(spec: Spec, source: Source) -> CompiledFilter:
+    """Compile the code of a spec so that `build` finds it."""
     if ":" in spec.filter.family:  # its code is not fkgen's, so it has no digest here
-        return compile(generate(validate(spec)))
-    compiler = find_compiler()
+        return compile(source)
+    key = _key(spec)
+    return CompiledFilter(cache.find(key) or make(key, source, find_compiler()))
+
+
+def _key(spec: Spec) -> str:
     written = (f"{key} = {text}" for each in spec.equations for key, text in each.written)
-    key = cache.key_of(cache.own_digest(), spec.canonical(), *written, compiler.identity)
-    return CompiledFilter(cache.find(key) or make(key, generate(validate(spec)), compiler))
+    return cache.key_of(cache.own_digest(), spec.canonical(), *written, find_compiler().identity)

@@ -43,12 +43,7 @@ _Part = tuple[str, Iterable[list[str]]]
 
 def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     """What the header says about a spec; ``phases`` hold the constants that it folded."""
-    faults = spec.faults
-    parts = [_model(spec), *_modes(spec)]
-    parts += [_actuator(spec, faults.actuator)] if faults.actuator is not None else []
-    parts += [_sensor(spec, faults.sensor)] if faults.sensor is not None else []
-    parts += [_jump(spec, faults.jump)] if faults.jump is not None else []
-    parts += [_soft(spec, faults.soft)] if faults.soft is not None else []
+    parts = [_model(spec), *_modes(spec), *_faults(spec)]
     return Stated(
         model=tuple(
             line for title, listings in parts for line in (f" * {title}.", *chain(*listings), " *")
@@ -57,6 +52,22 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
         folded=_folded(spec, phases),
         spec=json.dumps({"spec": spec.to_dict(), "written": [e.written for e in spec.equations]}),
     )
+
+
+def _faults(spec: Spec) -> list[_Part]:
+    faults = spec.faults
+    parts = [_actuator(spec, faults.actuator)] if faults.actuator is not None else []
+    parts += [_sensor(spec, faults.sensor)] if faults.sensor is not None else []
+    parts += [_jump(spec, faults.jump)] if faults.jump is not None else []
+    return parts + ([_soft(spec, faults.soft)] if faults.soft is not None else [])
+
+
+def faults_said(spec: Spec) -> list[tuple[str, str]]:
+    """What is said of the faults and of the modes: sentences, and the numbers below each."""
+    parts = [*_faults(spec), *_modes(spec)]
+    return [
+        (f"{title}.", "\n".join(line[5:] for line in chain(*listings))) for title, listings in parts
+    ]
 
 
 def _equations(spec: Spec, equations: Equations) -> _Part:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fkgen.console import html_table
 from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.equations import ABSENT, Equations
@@ -228,6 +229,15 @@ class Spec:
         if found := [[list(pair) for pair in each.plain_let] for each in self.equations]:
             table["let"] = found
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+    def _repr_html_(self) -> str:
+        """Signals and parameters, for a notebook."""
+        model = self.model
+        roles = {"state": model.states, "input": model.inputs, "measurement": model.outputs}
+        rows = [(role, each.name, each.unit) for role, signals in roles.items() for each in signals]
+        rows += [("parameter", each.name, f"{each.default:g}") for each in self.stated_parameters]
+        caption = f"{self.name}: {self.filter.family}"
+        return html_table(caption, ("role", "name", "unit or default"), rows)
 
 
 def _read_filter(options: Section, family: Any, faults: Faults, model: Model) -> Filter:

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.console import html_table
 from fkgen.errors import DataError, of_type
 from fkgen.problem import Spec
 from fkgen.runtime import record
@@ -74,6 +75,12 @@ class Run:
         refused = int(np.count_nonzero(self.refused))
         samples = self.status.shape[-1]
         return f"<Run of {samples} samples, {refused} refused: {', '.join(self._values)}>"
+
+    def _repr_html_(self) -> str:
+        """Ports and their shapes, for a notebook."""
+        rows = ((name, " x ".join(map(str, each.shape))) for name, each in self._values.items())
+        caption = repr(self).strip("<>").partition(":")[0]
+        return html_table(caption, ("port", "shape"), rows)
 
 
 #: What a run has to keep to be smoothed.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,9 @@ from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, save, styled
 
+#: What a picture of a campaign may show.
+PARTS = ("coverage", "calibration")
+_FEW = 4  # states whose bars are told apart in a narrow panel
 _DARK = 0.6  # share of the largest value from which on a cell is dark
 _COLOURS = (BLUE, ORANGE, "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1")
 
@@ -62,14 +65,16 @@ def campaigned(
 
 
 @styled
-def draw(found: Campaign) -> Figure:
+def draw(found: Campaign, parts: Collection[str] = PARTS) -> Figure:
     """Draw how often errors are within 1, 2 and 3 sigma, and modes true where they are probable."""
-    modes = len(found.calibration.value)
-    figure = Figure(figsize=(9.0 if modes else 5.0, 4.2), layout="constrained")
-    axes = figure.subplots(1, 2 if modes else 1, squeeze=False)[0]
-    _draw_coverage(axes[0], found)
-    if modes:
-        _draw_calibration(axes[1], found)
+    draws = [_draw_coverage] if "coverage" in parts else []
+    draws += [_draw_calibration] if "calibration" in parts and len(found.calibration.value) else []
+    wide = len(draws) > 1 or len(found.states) > _FEW
+    figure = Figure(figsize=(9.0 if wide else 5.0, 4.2), layout="constrained")
+    for axis, draw_panel in zip(
+        figure.subplots(1, len(draws), squeeze=False)[0], draws, strict=True
+    ):
+        draw_panel(axis, found)
     of = f"{found.trials} trials of {found.steps} samples"
     figure.suptitle(f"{found.name}: {of}", x=0.01, ha="left", fontsize=10)
     return figure
@@ -89,7 +94,7 @@ def _draw_coverage(axis: Axes, found: Campaign) -> None:
     axis.set_xticks(at, [f"{k} sigma" for k in SIGMAS])
     axis.set_ylabel("errors within (%)")
     axis.set_ylim(0.0, 118.0)
-    axis.legend(ncols=4, loc="upper left")
+    axis.legend(ncols=4 if len(found.states) <= _FEW else 7, loc="upper left")
 
 
 def _draw_calibration(axis: Axes, found: Campaign) -> None:

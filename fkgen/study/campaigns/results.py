@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.console import html_table
 from fkgen.problem import Spec
 from fkgen.study.campaigns.block import Work
 from fkgen.study.campaigns.sums import Statistic, Sums
@@ -101,6 +102,10 @@ class Campaign:
 
     def __repr__(self) -> str:
         return f"<Campaign {self.name}: {self.trials} trials of {self.steps} samples>"
+
+    def _repr_html_(self) -> str:
+        """The table of the command, for a notebook."""
+        return html_table(repr(self).strip("<>"), *table_of(self))
 
 
 _HEAD = ("name", "trials", "steps", "seed", "states", "outputs")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
@@ -28,6 +28,8 @@ Array = NDArray[np.floating]
 
 BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
+#: What a picture of a run may show.
+PARTS = ("states", "innovation", "nis", "faults")
 LARGEST = 12  # panels of states; more would be a page nobody reads
 HEIGHT = 1.9  # of a panel, in inches
 _SHADE = 0.13  # how dark a gap is
@@ -58,7 +60,8 @@ class _Sheet:
     time: Array
     y: Array  # (T, p); NaN = missing
     read_by: tuple[tuple[int, ...], ...]  # per state the rows of y that are it in noise
-    estimate: str  # What the states are
+    truth: Array | None = None  # (T, n); NaN = not known
+    estimate: str = "filtered"  # What the states are
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -102,31 +105,51 @@ def _read_by(spec: Spec) -> tuple[tuple[int, ...], ...]:
 
 
 @styled
-def draw(spec: Spec, table: Table, run: Run, *, estimate: str = "filtered") -> Figure:
+def draw(
+    spec: Spec,
+    table: Table,
+    run: Run,
+    *,
+    estimate: str = "filtered",
+    parts: Collection[str] = PARTS,
+    truth: Array | None = None,
+    faults: Sequence[tuple[float, float]] = (),
+) -> Figure:
     """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
     It needs ``filtered_state``. ``filtered_covariance``, ``innovation``, ``nis``,
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
-    they are there. ``estimate`` is what the states are called.
+    they are there and among the ``parts``; ``truth`` (T, n) beside the states, and begin and
+    length of ``faults``, in samples, as bars. ``estimate`` is what the states are called.
     """
     states, outputs, soft = _panels_of(spec)[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
-    time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
-    if not table.time_name and spec.period is not None:
-        time, label = time * spec.period, "time (s)"
-    sheet = _Sheet(spec, run, time, np.asarray(table.y, dtype=float), _read_by(spec), estimate)
+    time, label = times_of(spec, table)
+    per = time[-1] / (len(time) - 1) if len(time) > 1 else 1.0
+    y, read_by = np.asarray(table.y, dtype=float), _read_by(spec)
+    sheet = _Sheet(spec, run, time, y, read_by, truth, estimate)
+    states = states if "states" in parts else []
     draws = [partial(draw_one, sheet=sheet) for draw_one in states]
-    if "innovation" in run.ports:
+    if "innovation" in run.ports and "innovation" in parts:
         draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
-    if "nis" in run.ports:
+    if "nis" in run.ports and "nis" in parts:
         draws.append(partial(_draw_nis, sheet=sheet))
-    if "mode_probability" in run.ports:
+    if "mode_probability" in run.ports and "faults" in parts:
         draws.append(partial(_draw_modes, sheet=sheet))
-    if soft is not None and "test_statistic" in run.ports:
+    if soft is not None and "test_statistic" in run.ports and "faults" in parts:
         draws.append(partial(_draw_verdicts, sheet=sheet, soft=soft))
     heights = [2.1] * len(states) + [HEIGHT] * (len(draws) - len(states))
     gaps = gaps_of(time, np.asarray(~sheet.present.any(axis=1)))
-    return panels(heights, draws, label, gaps)
+    bars = [(per * begin, per * length) for begin, length in faults]
+    return panels(heights, draws, label, gaps, bars)
+
+
+def times_of(spec: Spec, table: Table) -> tuple[Array, str]:
+    """The times of a record, and what they are."""
+    time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
+    if not table.time_name and spec.period is not None:
+        return time * spec.period, "time (s)"
+    return time, label
 
 
 def panels(
@@ -134,6 +157,7 @@ def panels(
     draws: Sequence[Callable[[Axes], None]],
     time: str,
     gaps: Sequence[tuple[float, float]] = (),
+    faults: Sequence[tuple[float, float]] = (),
 ) -> Figure:
     """Draw panels above each other, time below the last one, gaps as grey bars through all."""
     figure = Figure(figsize=(9.0, sum(heights)), layout="constrained")
@@ -141,9 +165,11 @@ def panels(
     axes = several[:, 0]
     for axis, draw_panel in zip(axes, draws, strict=True):
         axis.margins(x=0.0)
-        if gaps:
-            across = axis.get_xaxis_transform()
-            axis.broken_barh(gaps, (0.0, 1.0), transform=across, color=GREY, alpha=_SHADE, lw=0)
+        across = axis.get_xaxis_transform()
+        for bars, colour in ((gaps, GREY), (faults, ORANGE)):
+            if bars:
+                shade = {"color": colour, "alpha": _SHADE, "lw": 0}
+                axis.broken_barh(bars, (0.0, 1.0), transform=across, **shade)
         axis.tick_params(labelsize=8)
         draw_panel(axis)
     axes[-1].set_xlabel(time)
@@ -223,6 +249,8 @@ def _draw_state(axis: Axes, sheet: _Sheet, signal: Signal, i: int, error: int) -
         used = sheet.present[:, row] & ~sheet.rejected[:, row]
         label = None if at else "measured"
         axis.plot(sheet.time[used], sheet.y[used, row], ".", ms=2.0, color=GREY, label=label)
+    if sheet.truth is not None:
+        axis.plot(sheet.time, sheet.truth[:, i], color="black", lw=0.9, ls="--", label="true")
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label=sheet.estimate)
     _mark_refused(axis, sheet)
     axis.set_ylabel(label_of(signal))

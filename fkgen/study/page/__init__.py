@@ -1,0 +1,1 @@
+"""One page about a filter, for people to read: ``fkgen report``."""
