@@ -260,11 +260,11 @@ def rates_for_variances(faults, rates, u, plant):
 
 
 def test_the_rate_for_its_variance_is_refused(monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.lmmse.kalman.intermittent", rates_for_variances)
+    monkeypatch.setattr("fkgen.estimators.gaussian.actuation.intermittent", rates_for_variances)
     assert refused(recursion("mkf"))
 
 
-def without_spread(w, parts, _):
+def without_spread(w, parts, *_):
     return weighted_sum(w, [packed for _, packed in parts])
 
 

@@ -224,7 +224,7 @@ def depends(value, symbol):
 
 
 def test_mistake_verdict_the_other_way_round():
-    mutant = closing(recursion(plant()), "rejected_0", lambda value, _: 1 - value)
+    mutant = closing(recursion(plant()), "faulty_0", lambda value, _: 1 - value)
     assert CONTRADICTED in refusals(mutant)
 
 

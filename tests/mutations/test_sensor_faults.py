@@ -122,7 +122,7 @@ def test_mistake_nominal_noise_in_the_mode_without_signal_and_with_noise(which, 
     assert BAYES in refusals(recursion(scalar(ANY, which)))
 
 
-def without_spread(w, parts, _):
+def without_spread(w, parts, *_):
     return weighted_sum(w, [packed for _, packed in parts])
 
 

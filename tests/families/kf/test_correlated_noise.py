@@ -56,8 +56,10 @@ PLANTS = {
 }
 
 
-@pytest.mark.parametrize("update", ["short", "joseph", "ud"])
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(
+    ("name", "update"),
+    [(n, u) for n in PLANTS for u in ("short", "joseph", "ud") if (n, u) != ("one state", "ud")],
+)
 def test_it_is_the_filter_of_decorrelated_noise(name, update):
     model = PLANTS[name]
     stated = spec(model, code={"update": update})
@@ -99,6 +101,11 @@ def test_trials_have_noises_that_are_correlated():
     np.testing.assert_allclose(found / size, np.array(model["S"]) / size, atol=0.09)
     before = (drawn.state[:, 1, :, None] * v[:, None, :]).mean(axis=0)
     np.testing.assert_allclose(before / size, 0.0, atol=0.09)
+
+
+def test_noise_that_moves_other_states_too_has_no_factors():
+    with pytest.raises(fkgen.SpecError, match="this filter has no factored form"):
+        fkgen.validate(spec(PLANTS["one state"], code={"update": "ud"}))
 
 
 def test_a_second_update_is_refused_rather_than_wrong():

@@ -20,7 +20,7 @@ SPECS = spread.specs("float") | sensor_specs.every("float")
 KINDS = ("kf_functions", "kf_exact", "kf_wide", "mme_certain", "dfcf_groups", "imm_zeros", "genie")
 
 
-def encoder(variance, prior, scalar="float"):
+def encoder(variance, prior, scalar="float", update="auto"):
     dt, q = 0.01, 0.1
     model = {
         "A": [[1.0, dt], [0.0, 1.0]],
@@ -32,10 +32,10 @@ def encoder(variance, prior, scalar="float"):
         "states": [{"name": "angle"}, {"name": "rate"}],
     }
     table = {"name": "encoder", "model": model, "filter": {"family": "kf"}}
-    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar}})
+    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar, "update": update}})
 
 
-def trend(prior, scalar="float"):
+def trend(prior, update="auto"):
     """A level, its slope and a season of six."""
     A = np.zeros((7, 7))
     A[0, :2], A[1, 1], A[2, 2:] = 1.0, 1.0, -1.0
@@ -49,7 +49,7 @@ def trend(prior, scalar="float"):
         "P0": (prior * np.eye(7)).tolist(),
     }
     table = {"name": "trend", "model": model, "filter": {"family": "kf"}}
-    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar}})
+    return fkgen.Spec.from_dict(table | {"code": {"scalar": "float", "update": update}})
 
 
 def found(spec):
@@ -61,11 +61,12 @@ def found(spec):
     ("spec", "severity"),
     [
         (encoder(1e-2, 1.0), "note"),
-        (encoder(1e-12, 1e3), "warning"),
-        (encoder(1e-12, 1e6), "error"),
-        (trend(1e6), "refused"),
+        (encoder(1e-2, 1.0, update="joseph"), "note"),
+        (encoder(1e-12, 1e3, update="joseph"), "warning"),
+        (encoder(1e-12, 1e6, update="joseph"), "error"),
+        (trend(1e6, "joseph"), "refused"),
     ],
-    ids=["mild", "tight", "wide", "refused"],
+    ids=["factors", "mild", "tight", "wide", "refused"],
 )
 def test_it_says_what_the_compiled_filters_do(spec, severity):
     y, _, _ = start._drawn(spec)
@@ -92,7 +93,8 @@ def test_it_says_what_the_compiled_filters_do(spec, severity):
 
 
 def test_a_wide_prior_that_float_cannot_hold_is_not_sound():
-    assert not fkgen.check(encoder(1e-8, 1e4)).sound
+    assert not fkgen.check(encoder(1e-8, 1e4, update="joseph")).sound
+    assert fkgen.check(encoder(1e-8, 1e4)).sound
     assert fkgen.check(encoder(1e-8, 1e4, "double")).sound
     assert fkgen.check(encoder(1e-2, 1.0)).sound
 
@@ -105,7 +107,10 @@ def test_jumping_plants_are_held_to_it_as_well():
     (finding,) = found(SPECS["imm_jump"])
     assert finding.severity == "note"
     vague = replace(SPECS["imm_jump"].model, P0=fkgen.problem.Matrix.of(1e12 * np.eye(2)))
-    assert found(replace(SPECS["imm_jump"], model=vague))[0].severity in {"warning", "error"}
+    vague = replace(SPECS["imm_jump"], model=vague)
+    assert found(vague)[0].severity == "note"
+    vague = replace(vague, code=replace(vague.code, update="joseph"))
+    assert found(vague)[0].severity in {"warning", "error"}
 
 
 LOST = {"noise_factor": 4.0, "problem": 3, "delta_chain": [[0.8, 0.2], [0.8, 0.2]]}
@@ -126,8 +131,8 @@ def alternating(prior, scalar="double"):
 @pytest.mark.parametrize(
     ("spec", "key", "remedy"),
     [
-        (encoder(1e-8, 1e4), "code.scalar", 'scalar = "double"'),
-        (encoder(1e-10, 1e4), "code.scalar", 'scalar = "double"'),
+        (encoder(1e-8, 1e4, update="joseph"), "code.scalar", 'scalar = "double"'),
+        (encoder(1e-10, 1e4, update="joseph"), "code.scalar", 'scalar = "double"'),
         (alternating(100.0), "model.P0", 'filter.form = "augmented"'),
         (alternating(1e8), "model.P0", 'filter.form = "augmented"'),
         (alternating(1e8, "float"), "code.scalar", 'filter.form = "augmented"'),
@@ -189,13 +194,16 @@ def test_numbers_that_leave_nothing_to_prove_with_are_no_defect_of_the_filter(ca
     assert "\n" not in str(fault.value)
 
 
-@pytest.mark.parametrize("spec", [encoder(1e-2, 1.0), encoder(1e-12, 1e6, "double")])
-def test_a_mistake_in_the_filter_is_its_defect_whatever_the_numbers(monkeypatch, spec):
-    right = estimate.propagate
+@pytest.mark.parametrize("update", ["joseph", "ud"])
+@pytest.mark.parametrize("numbers", [(1e-2, 1.0, "float"), (1e-12, 1e6, "double")])
+def test_a_mistake_in_the_filter_is_its_defect_whatever_the_numbers(monkeypatch, numbers, update):
+    name, at = {"joseph": ("propagate", 1), "ud": ("propagate_factors", 0)}[update]
+    right = getattr(estimate, name)
 
-    def wrong(builder, plant, *others):
-        return right(builder, replace(plant, A=plant.A.T), *others)
+    def wrong(*given):
+        plant = replace(given[at], A=given[at].A.T)
+        return right(*given[:at], plant, *given[at + 1 :])
 
-    monkeypatch.setattr(kalman, "propagate", wrong)
+    monkeypatch.setattr(kalman, name, wrong)
     with pytest.raises(fkgen.InternalError, match="joint distribution"):
-        fkgen.validate(spec)
+        fkgen.validate(encoder(*numbers, update))
