@@ -474,25 +474,6 @@ def one_step_optimal(spec: Spec) -> Recursion:
     filtering = Switching.of(spec, ports, factors, merges_errors=True)
     symbols, plant = filtering.symbols, filtering.plants[0]
 
-    def factored(
-        builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
-    ) -> dict[str, ca.SX]:
-        shares = ca.vertsplit(weights)
-        matched = option == "moment_matched"
-        state, held = filtering.merged(builder, shares, each, spread=matched)
-        state = builder.define("combined_state", state)
-        demand_finite(builder, state)
-        results = {
-            "filtered_state": state,
-            "filtered_covariance": held.covariance(),
-            "filtered_factors": held.packed,
-        }
-        if beside:
-            alone = [one.factors for one in each[:beside] if one.factors is not None]
-            results["riccati_filtered_covariance"] = ca.vertcat(*(a.covariance() for a in alone))
-            results["riccati_filtered_factors"] = packed_factors(alone)
-        return results
-
     def combined(
         builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
     ) -> dict[str, ca.SX]:
@@ -526,10 +507,36 @@ def one_step_optimal(spec: Spec) -> Recursion:
     if filtering.order:
         known = filtering.factors(name.format("factors"))
     priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
+    factored = partial(_merged_factors, filtering, beside, matched=option == "moment_matched")
     update = filtering.update(priors, factored if filtering.order else combined)
     phases = update, _one_prediction(filtering, beside)
     notes = f"covariance: {option}", filtering.modes.note, *factors_note(filtering.order, spec)
     return filtering.recursion("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
+
+
+def _merged_factors(
+    filtering: Switching,
+    beside: int,
+    builder: PhaseBuilder,
+    weights: ca.SX,
+    each: list[Conditioned],
+    *,
+    matched: bool,
+) -> dict[str, ca.SX]:
+    """What ``one_step`` keeps of four corrections, with the factors of its covariances."""
+    state, held = filtering.merged(builder, ca.vertsplit(weights), each, spread=matched)
+    state = builder.define("combined_state", state)
+    demand_finite(builder, state)
+    results = {
+        "filtered_state": state,
+        "filtered_covariance": held.covariance(),
+        "filtered_factors": held.packed,
+    }
+    if beside:
+        alone = [one.factors for one in each[:beside] if one.factors is not None]
+        results["riccati_filtered_covariance"] = ca.vertcat(*(a.covariance() for a in alone))
+        results["riccati_filtered_factors"] = packed_factors(alone)
+    return results
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
