@@ -56,19 +56,12 @@ PLANTS = {
 }
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize(
-    ("name", "update"),
-    [(n, u) for n in PLANTS for u in ("short", "joseph", "ud") if (n, u) != ("one state", "ud")],
-)
-=======
 #: One state whose noise is correlated with those of others and with y has no factors.
 FORMS = [(name, form) for name in PLANTS for form in ("short", "joseph", "ud")]
 FORMS.remove(("one state", "ud"))
 
 
 @pytest.mark.parametrize(("name", "update"), FORMS)
->>>>>>> 402050d53e70eab046ae09df374ae6d4e263a98a
 def test_it_is_the_filter_of_decorrelated_noise(name, update):
     model = PLANTS[name]
     stated = spec(model, code={"update": update})
