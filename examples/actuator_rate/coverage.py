@@ -1,6 +1,6 @@
 """Count how often intervals hold the truth: ``python coverage.py`` for kf, mkf and imm.
 
-Prints the last table of the page: 500 records of 400 samples for each family, one small plant.
+Prints the last table of the page: 1500 records of 400 samples for each family, one small plant.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import fkgen
 
-RECORDS, SAMPLES, SEED, LEVEL = 500, 400, 1, 0.95
+RECORDS, SAMPLES, SEED, LEVEL = 1500, 400, 1, 0.95
 PLANT: dict[str, Any] = {
     "A": [[0.9]],
     "C": [[1.0]],
