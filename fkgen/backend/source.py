@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import product
@@ -72,19 +72,8 @@ class Source:
         """
         of_type("directory", directory, (str, os.PathLike), "the path of a folder")
         target = Path(directory)
-        try:
-            if target.exists() and not target.is_dir():
-                raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
-            files, gone = _planned(target, self.files)
-            with _scratch(target) as scratch:
-                _exchange(target, scratch, files, gone)
-        except ValueError:
-            given = "a path with a null character"
-            raise OutputError(repr(directory), given=given, expected="a path") from None
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            expected = "a folder that can be written"
-            raise OutputError(str(target), given=reason, expected=expected) from None
+        with _writing(target):
+            _exchange(target, *_planned(target, self.files))
         return target
 
 
@@ -97,9 +86,7 @@ def write_package(target: Path, files: Mapping[str, str], facts: Mapping[str, An
         If a file was edited, if there is one of others, or if the folder cannot be written.
     """
     known: dict[str, str] = {}
-    try:
-        if target.exists() and not target.is_dir():
-            raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
+    with _writing(target):
         if (target / MANIFEST).exists():
             try:
                 known = dict(json.loads((target / MANIFEST).read_text(encoding="utf-8"))["package"])
@@ -109,8 +96,19 @@ def write_package(target: Path, files: Mapping[str, str], facts: Mapping[str, An
         _refuse_taken(target, files, {*known}, ())
         digests = {name: _digest(text) for name, text in sorted(files.items())}
         manifest = json.dumps({**facts, "package": digests}, indent=2) + "\n"
-        with _scratch(target) as scratch:
-            _exchange(target, scratch, {**files, MANIFEST: manifest}, known.keys() - files.keys())
+        _exchange(target, {**files, MANIFEST: manifest}, known.keys() - files.keys())
+
+
+@contextmanager
+def _writing(target: Path) -> Iterator[None]:
+    """Say in one line why a folder cannot be written."""
+    try:
+        if target.exists() and not target.is_dir():
+            raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
+        yield
+    except ValueError:
+        given = "a path with a null character"
+        raise OutputError(repr(str(target)), given=given, expected="a path") from None
     except OSError as error:
         reason, expected = (error.strerror or str(error)).lower(), "a folder that can be written"
         raise OutputError(str(target), given=reason, expected=expected) from None
@@ -208,18 +206,26 @@ def _taken(path: Path) -> OutputError:
     )
 
 
-def _exchange(target: Path, scratch: Path, files: Mapping[str, str], gone: Iterable[str]) -> None:
+def _exchange(target: Path, files: Mapping[str, str], gone: Iterable[str]) -> None:
     """Write files into a folder and take others away; all is as it was if that fails."""
+    with _scratch(target) as scratch:
+        _exchanged(target, scratch, files, tuple(gone))
+
+
+def _exchanged(
+    target: Path, scratch: Path, files: Mapping[str, str], gone: tuple[str, ...]
+) -> None:
     new, old = scratch / "new", scratch / "old"
-    new.mkdir()
-    old.mkdir()
-    gone = tuple(gone)
-    for folder, name in product((new, old, target), (*gone, *files)):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    folders = sorted({parent for name in (*gone, *files) for parent in Path(name).parents})
+    made = [target / folder for folder in folders if not (target / folder).exists()]
+    for root, folder in product((new, old), folders):
+        (root / folder).mkdir()
     for name, text in files.items():
         (new / name).write_text(text, encoding="utf-8", newline="\n")
     moved: list[tuple[Path, Path]] = []
     try:
+        for folder in made:
+            folder.mkdir()
         for name in [*gone, *files]:
             if (target / name).exists():
                 moved.append((target / name, old / name))
@@ -228,10 +234,18 @@ def _exchange(target: Path, scratch: Path, files: Mapping[str, str], gone: Itera
             moved.append((new / name, target / name))
             (new / name).rename(target / name)
     except BaseException:
-        for source, place in reversed(moved):
-            if place.exists() and not source.exists():
-                place.rename(source)
+        _undo(moved, made)
         raise
+
+
+def _undo(moved: Sequence[tuple[Path, Path]], made: Sequence[Path]) -> None:
+    """Move files back, and take folders away."""
+    for source, place in reversed(moved):
+        if place.exists() and not source.exists():
+            place.rename(source)
+    for folder in reversed(made):
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def _digest(data: str | bytes) -> str:

@@ -12,6 +12,7 @@ import pytest
 from plants import generated, motor
 
 import fkgen
+from fkgen.backend.source import write_package
 from fkgen.errors import OutputError
 
 
@@ -237,6 +238,31 @@ def test_a_file_that_cannot_be_moved_leaves_everything_as_it_was(
     else:
         other.write(tmp_path)
         assert content(tmp_path) == {"notes.txt": "mine"} | dict(other.files)
+
+
+@pytest.mark.parametrize("existing", [True, False])
+@pytest.mark.parametrize("method", ["write_text", "rename", "mkdir"])
+def test_a_package_that_cannot_be_written_leaves_no_folder(method, existing, tmp_path, monkeypatch):
+    target, files = tmp_path / "out", {"src/deep/a.c": "a", "src/b.c": "b", "c.txt": "c"}
+    if existing:
+        target.mkdir()
+        (target / "notes.txt").write_text("mine")
+    before, right, calls = sorted(tmp_path.rglob("*")), getattr(Path, method), []
+
+    def failing(path, *arguments, **options):
+        calls.append(path)
+        if path.name in {"b.c", "deep"} and (method != "mkdir" or path.parent.parent == target):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return right(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, method, failing)
+    with pytest.raises(OutputError, match="no space left on device"):
+        write_package(target, files, {})
+    monkeypatch.undo()
+    assert calls
+    assert sorted(tmp_path.rglob("*")) == before
+    write_package(target, files, {})
+    assert (target / "src" / "deep" / "a.c").read_text() == "a"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
