@@ -229,11 +229,12 @@ def generate(spec: Spec, output: Path | None, kinds: str) -> None:
     from fkgen import pipeline
     from fkgen.backend.render import cost
     from fkgen.backend.source import own_files
-    from fkgen.target import packages
 
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
     if kinds:
+        from fkgen.target import packages
+
         folder = output or Path(spec.name)
         for name in packages.write(spec, source, packages.listed(kinds), folder):
             click.echo(folder / name)

@@ -122,10 +122,6 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
     texts = {**source.files, f"{program.name}_record.c": source.record}
     texts |= {f"{program.name}_lanes.c": source.lanes} if source.lanes else {}
     texts |= {cache.LAYOUT: layout.to_json(), cache.SPEC: program.stated.spec}
-    return _made(key, texts, layout, compiler)
-
-
-def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler) -> Path:
     return cache.store(key, lambda folder: _fill(folder, texts, layout, compiler))
 
 

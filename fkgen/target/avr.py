@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from fkgen.backend.lines import environment
 from fkgen.errors import CompilerError
-from fkgen.runtime.compiler import compile_shared, find_compiler
 from fkgen.target.boards import Board
 from fkgen.target.elf import Image
+from fkgen.target.toolchain import on_this_machine
 
 #: Instructions per second of patience: about what the emulator does.
 _SPEED = 20_000_000
@@ -84,16 +81,11 @@ def library() -> Any:
     CompilerError
         If the emulator is missing.
     """
-    text = environment().get_template("avr.c").render()
-    with TemporaryDirectory(prefix="fkgen-") as place:
-        source, target = Path(place) / "avr.c", Path(place) / "avr.so"
-        source.write_text(text, encoding="utf-8")
-        try:
-            compile_shared(find_compiler(), source, target, libraries=("-lsimavr",))
-        except CompilerError:
-            message = "libsimavr, an emulator, is not installed: apt install libsimavr-dev"
-            raise CompilerError(message) from None
-        found = ctypes.CDLL(str(target))
+    try:
+        found = on_this_machine("avr.c", "-lsimavr")
+    except CompilerError:
+        message = "libsimavr, an emulator, is not installed: apt install libsimavr-dev"
+        raise CompilerError(message) from None
     found.avr_new.restype = ctypes.c_void_p
     found.avr_top.restype = ctypes.c_uint32
     found.avr_call.restype = ctypes.c_int64

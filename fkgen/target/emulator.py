@@ -9,16 +9,13 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 from importlib import import_module
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from fkgen.backend.lines import environment
 from fkgen.errors import CompilerError
-from fkgen.runtime.compiler import compile_shared, find_compiler
 from fkgen.target.avr import AvrEmulator, library
 from fkgen.target.boards import Board
 from fkgen.target.elf import Image
+from fkgen.target.toolchain import on_this_machine
 
 #: Where a function returns to, and where the stack is.
 _RETURN, _STACK, _STACK_SIZE = 0x8000, 0x30000000, 0x40000
@@ -178,9 +175,4 @@ def emulator(board: Board) -> type[AnyEmulator]:
 @cache
 def counter() -> ctypes.CDLL:
     """The function that counts, compiled for this machine."""
-    text = environment().get_template("count.c").render()
-    with TemporaryDirectory(prefix="fkgen-") as place:
-        source, library = Path(place) / "count.c", Path(place) / "count.so"
-        source.write_text(text, encoding="utf-8")
-        compile_shared(find_compiler(), source, library)
-        return ctypes.CDLL(str(library))
+    return on_this_machine("count.c")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.metadata
 import importlib.util
 import os
@@ -9,13 +10,16 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fkgen.backend.lines import environment
 from fkgen.backend.source import Source
 from fkgen.errors import CompilerError
 from fkgen.runtime import cache
+from fkgen.runtime.compiler import compile_shared, find_compiler
 from fkgen.target.boards import Board
 
 #: What every program is compiled with.
@@ -71,6 +75,15 @@ class Toolchain:
                 (line for line in lines if "error" in line or "undefined" in line), lines[0]
             )
             raise CompilerError(f"{self.name}: {first.replace(str(folder), '').lstrip('/')}")
+
+
+def on_this_machine(template: str, *libraries: str) -> ctypes.CDLL:
+    """Functions in C that go with an emulator, compiled for this machine."""
+    with tempfile.TemporaryDirectory(prefix="fkgen-") as place:
+        source, target = Path(place) / template, Path(place) / "functions.so"
+        source.write_text(environment().get_template(template).render(), encoding="utf-8")
+        compile_shared(find_compiler(), source, target, libraries=libraries)
+        return ctypes.CDLL(str(target))
 
 
 def _zig_cache() -> Path:

@@ -120,11 +120,7 @@ def tried(
     stack = machine.stack
     passed = machine.call("fkgen_selftest") == 0
     around = sum(lean.symbols[name].size for name in _LEAN)
-    given = sum(
-        s.size
-        for name, s in lean.symbols.items()
-        if name in {"fkgen_u", "fkgen_y", "fkgen_valid", "fkgen_params"}
-    )
+    given = sum(symbol.size for name, symbol in lean.symbols.items() if name in _GIVEN)
     figures = Figures(
         target=where.name,
         compiler=f"{tools.name} {optimisation(source)}",

@@ -232,7 +232,7 @@ def whiten(
         logs.append(builder.local(log, 1, initial=0.0))
         counts = kept[j] if kept else None
         if tolerance is not None:
-            news = pivot - tolerance * packed[j * (j + 3) // 2]
+            news = pivot - tolerance * own[j]
             counts = news if counts is None else ca.fmin(counts, news)
         with builder.if_present(j, counts):
             builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)

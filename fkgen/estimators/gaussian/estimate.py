@@ -46,7 +46,8 @@ from fkgen.symbolic.recursion import Guard
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
 SHORT_FORM_RATIO = 1e6
 
-#: Beyond this one the Joseph form loses positivity in double with several rows and sparse A.
+#: Beyond this one, which is a choice, factors are carried in double: the Joseph form may lose
+#: positivity there, with several rows and sparse A.
 JOSEPH_FORM_RATIO = 1e10
 
 #: Factors are written in straight lines, for as many states at most.

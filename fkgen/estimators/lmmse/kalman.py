@@ -155,10 +155,12 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
 
 def _marks(spec: Spec, plant: Plant) -> tuple[str, ...]:
     """What the header says about estimates of past samples of a plant that is not linear."""
-    past = [name for name, has in (("late rows", _delays(spec, plant).rows),) if has]
-    past += ["lagged estimates"] if _lagged(spec, plant).lag else []
-    curved = plant.lifted is not None
-    return tuple(f"{each} are approximate: f and h are linearised" for each in past if curved)
+    if plant.lifted is None:
+        return ()
+    past = {"late rows": _delays(spec, plant).rows, "lagged estimates": _lagged(spec, plant).lag}
+    return tuple(
+        f"{e} are approximate: f and h are linearised" for e, there in past.items() if there
+    )
 
 
 def _delays(spec: Spec, plant: Plant) -> Delays:

@@ -136,22 +136,38 @@ def mixture(
 
     What is ``lasting`` is carried to the next sample.
     """
-    own, spread = chart.inward(parts), weights
+    own, outer = chart.inward(parts), weights
     mean = weighted_sum(weights, [each for each, _ in own])
     if named:
         mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
-    apart = [each - mean for each, _ in own]
-    name = f"{chart.name}_covariance{tag}"
-    if lasting and len(own) > 1 and order(own[0][1]) > 1:
-        limits = Limits.of(chart.builder, f"{chart.name}{tag}", own, chart.plant.scalar)
-        spread = chart.builder.define(f"{name}_outer", limits.bounded(weights, apart))
+    if lasting:
+        name = f"{chart.name}{tag}"
+        scalar = chart.plant.scalar
+        outer = spread_weights(chart.builder, name, weights, own, mean, scalar=scalar)
     if order(own[0][1]) < DENSE_STATES or not named:
-        covariance = mixture_covariance(weights, own, mean, spread)
+        covariance = mixture_covariance(weights, own, mean, outer)
         return chart.outward((mean, covariance), tag)
     within = weights, [each for _, each in own]
-    return chart.outward(
-        (mean, _merged_in_loops(chart.builder, name, within, (spread, apart))), tag
-    )
+    apart = outer, [each - mean for each, _ in own]
+    name = f"{chart.name}_covariance{tag}"
+    return chart.outward((mean, _merged_in_loops(chart.builder, name, within, apart)), tag)
+
+
+def spread_weights(
+    builder: PhaseBuilder,
+    name: str,
+    weights: ca.SX,
+    parts: Sequence[Gaussian],
+    mean: ca.SX,
+    *,
+    scalar: str,
+) -> ca.SX:
+    """Weights of the spread of means that is carried on: no more than its variances bear."""
+    if len(parts) < 2 or order(parts[0][1]) < 2:  # one variance is rounded in one direction
+        return weights
+    limits = Limits.of(builder, name, parts, scalar)
+    bounded = limits.bounded(weights, [each - mean for each, _ in parts])
+    return builder.define(f"{name}_outer", bounded)
 
 
 def mixture_covariance(

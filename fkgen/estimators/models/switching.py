@@ -50,11 +50,11 @@ from fkgen.estimators.gaussian.ud import (
 from fkgen.estimators.models.merge import (
     Chart,
     Gaussian,
-    Limits,
     Mixer,
     combined_innovation,
     mixture,
     mixture_covariance,
+    spread_weights,
 )
 from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import (
@@ -483,11 +483,8 @@ def one_step_optimal(spec: Spec) -> Recursion:
         demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
-            outer = weights
-            if plant.ne > 1:
-                limits = Limits.of(builder, "combined", parts, spec.code.scalar)
-                outer = limits.bounded(weights, [mean - state for mean, _ in parts])
-                outer = builder.define("combined_outer", outer)
+            scalar = spec.code.scalar
+            outer = spread_weights(builder, "combined", weights, parts, state, scalar=scalar)
             covariance = mixture_covariance(weights, parts, state, outer)
         alone = covariances[:beside]
         if plant.attitudes:

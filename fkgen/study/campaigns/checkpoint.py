@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from fkgen.runtime import cache
 from fkgen.study.campaigns.block import Work
 from fkgen.study.campaigns.sums import Sums, merged
 from fkgen.study.records.files import refuse_existing, write_whole
-from fkgen.version import __version__
 
 _KIND = "checkpoint of fkgen montecarlo"
 _EVERY = 5.0  # seconds between two writings
@@ -150,16 +148,12 @@ def _facts(work: Work) -> dict[str, Any]:
     signals = (drawing.told, *drawing.params.values(), *work.params.values())
     names = (*drawing.params, *work.params)
     return {
-        "version": f"{__version__} {cache.own_digest()[:12]}",
+        "version": cache.identity(),
         "name": work.spec.name,
-        "spec": _digest([work.spec.canonical()]),
-        "truth": _digest([request.spec.canonical()]),
+        "spec": cache.key_of(work.spec.canonical()),
+        "truth": cache.key_of(request.spec.canonical()),
         "seed": request.seed,
         "steps": request.steps,
-        "inputs and parameters": _digest([*names, *(each.tobytes().hex() for each in signals)]),
+        "inputs and parameters": cache.key_of(*names, *(each.tobytes().hex() for each in signals)),
         "block": work.size,
     }
-
-
-def _digest(texts: Sequence[str]) -> str:
-    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]

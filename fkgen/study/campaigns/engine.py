@@ -23,7 +23,6 @@ from fkgen.runtime.blocks import cores
 from fkgen.runtime.record import whole
 from fkgen.study.campaigns.block import Work
 from fkgen.study.campaigns.sums import Sums
-from fkgen.version import __version__
 
 #: ``engine(ranges)`` computes ranges of blocks, and hands each over when it is done.
 Engine = Callable[[Iterable[range]], Iterator[tuple[range, Sums]]]
@@ -124,7 +123,7 @@ def _cluster(work: Work, scheduler: Any) -> Iterator[tuple[Engine, int]]:
 
         def engine(ranges: Iterable[range]) -> Iterator[tuple[range, Sums]]:
             def submit(blocks: range) -> Future[Sums]:
-                found: Future[Sums] = pool.submit(_remote, shared, blocks, _identity())
+                found: Future[Sums] = pool.submit(_remote, shared, blocks, cache.identity())
                 return found
 
             try:
@@ -181,13 +180,9 @@ def _itself(work: Work) -> Work:
     return work
 
 
-def _identity() -> str:
-    return f"{__version__} {cache.own_digest()[:12]}"
-
-
 def _remote(work: Work, blocks: range, identity: str) -> Sums:
     """A task: a worker with another fkgen would have other digits."""
-    if identity != _identity():
-        given = f"a worker with fkgen {_identity()}"
+    if identity != cache.identity():
+        given = f"a worker with fkgen {cache.identity()}"
         raise DataError("scheduler", given=given, expected=f"fkgen {identity} on every worker")
     return work.sums(blocks)

@@ -20,13 +20,14 @@ from fkgen.study.campaigns.sweep import Axis, Sweep, sweep
 from fkgen.study.campaigns.tally import SIGMAS
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import numbers_of
-from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, save, styled
+from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, SHADES, save, styled
 
 #: What a picture of a campaign may show.
 PARTS = ("coverage", "calibration")
 _FEW = 4  # states whose bars are told apart in a narrow panel
 _DARK = 0.6  # share of the largest value from which on a cell is dark
-_COLOURS = (BLUE, ORANGE, "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1")
+_COLOURS = SHADES[:6]
+_WELL = SHADES[2]  # where a filter is consistent
 
 
 def campaigned(
@@ -131,7 +132,7 @@ def _draw_curves(above: Axes, below: Axes, found: Sweep) -> None:
     for axes in (above, below):
         for i in np.flatnonzero(well):
             label = "consistent" if i == np.flatnonzero(well)[0] else None
-            axes.axvspan(edges[i], edges[i + 1], color="#4c9a6a", alpha=BAND, lw=0, label=label)
+            axes.axvspan(edges[i], edges[i + 1], color=_WELL, alpha=BAND, lw=0, label=label)
         for value in x[[not isinstance(each, Campaign) for each in found.cells]]:
             axes.axvline(value, color=GREY, lw=1.0, ls="--", label="no such plant")
         if axis.factor:

@@ -35,7 +35,7 @@ from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.filtering import csv_text
 from fkgen.study.records.reading import Reading
 from fkgen.study.records.record import Table
-from fkgen.study.records.table import Say, constants_or_record, profile_of
+from fkgen.study.records.table import Say, constants_or_record, profile_of, separated
 from fkgen.trials.simulation import Simulation, counted, simulate
 
 Array = NDArray[Any]
@@ -180,7 +180,7 @@ def compared(
     """Compare, and draw the figure if one is asked for; progress is shown on a terminal."""
     refuse_targets(None, plot, force=force)
     given, _ = _circumstances(specs[0], **options)
-    names = tuple(name.strip() for name in families.split(",") if name.strip())
+    names = tuple(separated(families))
     found = compare(specs, names or None, progress=sys.stderr.isatty(), **given)
     if plot is not None:
         from fkgen.study.comparisons.report import draw_comparison  # noqa: PLC0415 - slow to import

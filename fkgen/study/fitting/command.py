@@ -14,10 +14,10 @@ from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.study.fitting.autocovariance import Autocovariance, autocovariance
 from fkgen.study.fitting.domain import estimated
-from fkgen.study.fitting.fit import Fit, fit
+from fkgen.study.fitting.fit import Fit, fit, put_defaults
 from fkgen.study.records.files import refuse_targets, write_whole
 from fkgen.study.records.reading import Reading
-from fkgen.study.records.table import Say, read_table
+from fkgen.study.records.table import Say, read_table, separated
 
 HEAD = ("parameter", "default", "estimate", "standard error", "95 % from", "to")
 
@@ -49,7 +49,7 @@ def fitted(
 ) -> Fitted:
     """Fit the parameters to the records; write the spec file and the picture that are asked for."""
     refuse_targets(output, plot, force=force)
-    names = [name.strip() for name in estimate.split(",") if name.strip()]
+    names = separated(estimate)
     searched = [each.name for each in estimated(spec, names)]
     tables = [read_table(reading, spec, searched) for reading in readings]
     for table in tables:
@@ -115,17 +115,7 @@ def renewed(spec: Spec, found: Fit) -> str:
         reason = (error.strerror or str(error)).lower()
         raise DataError(spec.file, given=reason, expected="the spec file as it was read") from None
     document: Any = tomlkit.parse(text)
-    table = document["parameters"]
-    for each in spec.stated_parameters:
-        if each.name not in found.names:
-            continue
-        value = float(found.estimates[each.name])
-        if each.of:
-            table[each.of][int(each.name.removeprefix(f"{each.of}_"))] = value
-        elif isinstance(table[each.name], dict):
-            table[each.name]["default"] = value
-        else:
-            _replace(table, each.name, value)
+    put_defaults(document["parameters"], spec, found.estimates, _replace)
     return tomlkit.dumps(document)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -265,17 +266,27 @@ def with_defaults(spec: Spec, values: Mapping[str, float]) -> Spec:
         If it cannot have them.
     """
     table: Any = spec.to_dict()
+    put_defaults(table["parameters"], spec, values)
+    return Spec.from_dict(table, file=spec.file)
+
+
+def put_defaults(
+    entries: Any,
+    spec: Spec,
+    values: Mapping[str, float],
+    put: Callable[[Any, str, float], object] = operator.setitem,
+) -> None:
+    """Put values into the table of a spec's parameters; ``put`` is for plain numbers."""
     for each in spec.stated_parameters:
         if each.name not in values:
             continue
-        entries, value = table["parameters"], float(values[each.name])
+        value = float(values[each.name])
         if each.of:
             entries[each.of][int(each.name.removeprefix(f"{each.of}_"))] = value
         elif isinstance(entries[each.name], dict):
             entries[each.name]["default"] = value
         else:
-            entries[each.name] = value
-    return Spec.from_dict(table, file=spec.file)
+            put(entries, each.name, value)
 
 
 def _fit_of(spec: Spec, maximum: Maximum) -> Fit:

@@ -17,7 +17,7 @@ from fkgen.pipeline import build
 from fkgen.problem import Spec
 from fkgen.study.fitting.fit import Fit
 from fkgen.study.fitting.likelihood import Records, in_double
-from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, styled
+from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, SHADES, styled
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,6 @@ _POINTS = 400  # of a distribution
 _LEVEL = 0.95
 _BANDS = 1.96, 1.358  # of a correlation and of a distribution of N numbers, times sqrt(N)
 _PORTS = ("innovation", "innovation_covariance", "nis")
-_SHADES = (BLUE, ORANGE, "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 _WHITE = 0.01  # a smaller probability of the correlations is no white noise
 
 
@@ -170,7 +169,7 @@ def _draw_correlation(
     axis.axhspan(-bound, bound, color=GREY, alpha=BAND, lw=0)
     axis.axhline(0.0, color="black", lw=0.6)
     width = 0.7 / len(names)
-    for i, (name, colour) in enumerate(zip(names, cycle(_SHADES), strict=False)):
+    for i, (name, colour) in enumerate(zip(names, cycle(SHADES), strict=False)):
         probability = float(found.whiteness[i])
         verdict = "white" if probability > _WHITE else "not white"
         at = lags + (i - 0.5 * (len(names) - 1)) * width

@@ -171,7 +171,7 @@ def _declared(spec: Spec, log: Log) -> dict[str, Any]:
         text = "This filter declares no faults; samples beyond the bounds of the NIS are a sign"
         return {"declared_text": f"{text} of one."}
     spans = spans_of(flags)
-    text = f"{how}: {several(len(spans), 'stretch').replace('stretchs', 'stretches')},"
+    text = f"{how}: {several(len(spans), 'stretch')},"
     text += f" {several(int(flags.sum()), 'sample')} of {len(flags)}."
     text += f" The first {_SHOWN} of them:" if len(spans) > _SHOWN else ""
     time, unit = _clock(spec, table)

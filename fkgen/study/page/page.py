@@ -31,7 +31,7 @@ from fkgen.problem.spec import as_spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.runtime.record import numbers
 from fkgen.study.campaigns import report as campaigns
-from fkgen.study.campaigns.results import table_of
+from fkgen.study.campaigns.results import CONSISTENT, table_of
 from fkgen.study.page import mathml
 from fkgen.study.page.figures import draw_consistency, draw_ensemble
 from fkgen.study.page.logs import described, read_log
@@ -475,8 +475,8 @@ def _cards(design: Validated, source: Source, trials: Trials | None) -> list[tup
     if verdicts is None:
         word, mark = "no trials", ""
     else:
-        wrong = [f"{key}: {each}" for key, each in verdicts.items() if each != "consistent"]
-        word, mark = "; ".join(wrong) or "consistent", "bad" if wrong else "good"
+        wrong = [f"{key}: {each}" for key, each in verdicts.items() if each != CONSISTENT]
+        word, mark = "; ".join(wrong) or CONSISTENT, "bad" if wrong else "good"
     size = _facts(source)["bytes"]["instance"]
     return [
         ("Claims, measured", held, "good"),

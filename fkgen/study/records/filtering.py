@@ -30,9 +30,8 @@ from fkgen.study.records.files import kept_whole, refuse_targets, write_whole, w
 from fkgen.study.records.reading import Reading, as_arrow
 from fkgen.study.records.record import Record, Table
 from fkgen.study.records.summary import Summary, several
-from fkgen.study.records.table import joined
+from fkgen.study.records.table import joined, separated
 from fkgen.symbolic.interface import Port, Status
-from fkgen.version import __version__
 
 Array = NDArray[np.floating]
 
@@ -223,7 +222,7 @@ def run(
     refuse_targets(output, plot, force=force)
     record = Record(reading, spec)
     built = build(spec)
-    selection = select(built.layout, [name.strip() for name in keep.split(",") if name.strip()])
+    selection = select(built.layout, separated(keep))
     drawn = () if plot is None else select(built.layout).ports
     summary, refusals = Summary(spec, built), _Refusals(built.name)
     stored = tuple(dict.fromkeys((*selection.ports, *drawn, *summary.ports)))
@@ -301,7 +300,7 @@ def _facts(spec: Spec, reading: Reading, keep: str) -> dict[str, Any]:
     """What has to be the same for a run to go on."""
     stat = reading.path.stat()
     return {
-        "version": f"{__version__} {cache.own_digest()[:12]}",
+        "version": cache.identity(),
         "spec": cache.key_of(spec.canonical()),
         "record": [repr(reading), stat.st_size, stat.st_mtime_ns],
         "keep": keep,

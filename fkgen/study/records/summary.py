@@ -134,4 +134,4 @@ def usual_pause(pauses: Array, steps: Array) -> float:
 
 def several(count: int, noun: str) -> str:
     """A count and what is counted."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+    return f"{count} {noun}{'' if count == 1 else 'es' if noun.endswith('ch') else 's'}"

@@ -63,6 +63,11 @@ def read_columns(path: Source, names: Sequence[str]) -> dict[str, Array]:
     }
 
 
+def separated(text: str) -> list[str]:
+    """Names separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def numbers_of(option: str, text: str, count: int) -> Array | None:
     """Numbers separated by commas, one per signal; None if the option was left out."""
     if not text.strip():

@@ -21,6 +21,7 @@ from fkgen.runtime.record import choice
 from fkgen.study.records.headings import listed, parted, time_column, unit_of
 from fkgen.study.records.reading import Reading
 from fkgen.study.records.record import opened, without_marks
+from fkgen.study.records.table import separated
 
 Array = NDArray[np.float64]
 
@@ -157,7 +158,7 @@ def _lags(samples: int) -> list[int]:
 
 def _driving(columns: Sequence[_Column], inputs: str) -> list[_Column]:
     """Columns that are inputs: those that are stated, or that are called so and miss nothing."""
-    names = [name.strip() for name in inputs.split(",") if name.strip()]
+    names = separated(inputs)
     known = [each.name for each in columns]
     for name in names:
         if name not in known:

@@ -27,7 +27,7 @@ from fkgen.symbolic.lifting.equations import places
 Array = NDArray[np.floating]
 
 BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
-_SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
+SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 #: What a picture of a run may show.
 PARTS = ("states", "innovation", "nis", "faults")
 LARGEST = 12  # panels of states; more would be a page nobody reads
@@ -214,7 +214,7 @@ def _draw_attitude(axis: Axes, sheet: _Sheet, signal: Signal, i: int) -> None:
     q = sheet.run["filtered_state"][:, i : i + 4]
     turned = np.einsum("ki,ki->k", q[1:], q[:-1]) < 0.0
     drawn = np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))]) * q.T
-    for values, name, colour in zip(drawn, "wxyz", _SHADES):  # noqa: B905
+    for values, name, colour in zip(drawn, "wxyz", SHADES):  # noqa: B905
         axis.plot(sheet.time, values, color=colour, lw=1.2, label=name)
     axis.set_ylabel(label_of(Signal(signal.name)))
     axis.set_ylim(-1.05, 1.05)
@@ -270,7 +270,7 @@ def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> N
     values, rejected = sheet.run["innovation"].copy(), sheet.rejected
     left_out = np.where(np.isfinite(values), values, np.inf)
     values[rejected] = np.nan
-    for i, colour in zip(rows, cycle(_SHADES)):
+    for i, colour in zip(rows, cycle(SHADES)):
         shown, name = np.isfinite(values[:, i]), sheet.spec.model.outputs[i].name.replace("_", " ")
         axis.plot(sheet.time[shown], values[shown, i], ".", ms=2.5, color=colour, label=name)
     axis.axhline(0.0, color="black", lw=0.6)
@@ -281,7 +281,7 @@ def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> N
         axis.set_ylim(-reach, reach)
     if rejected[:, rows].any():
         low, high = axis.get_ylim()
-        for i, colour in zip(rows, cycle(_SHADES)):
+        for i, colour in zip(rows, cycle(SHADES)):
             at = rejected[:, i]
             shown = np.clip(left_out[at, i], 0.95 * low, 0.95 * high)
             axis.plot(sheet.time[at], shown, "x", ms=5, color=colour)
@@ -324,7 +324,7 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
     probability = sheet.run["mode_probability"].T
     names = _mode_names(sheet.spec, len(probability))
-    for values, name, colour in zip(probability, names, cycle(_SHADES)):
+    for values, name, colour in zip(probability, names, cycle(SHADES)):
         axis.plot(sheet.time, values, lw=1.4, color=colour, label=name)
     axis.set_ylim(-0.03, 1.03)
     axis.set_ylabel("probability")
@@ -351,7 +351,7 @@ def _draw_verdicts(axis: Axes, sheet: _Sheet, soft: SoftFaults) -> None:
         for name in ("test_statistic", "test_dof", "fault_declared")
     )
     names = [signal.name.replace("_", " ") for signal in sheet.spec.model.outputs]
-    for at, (group, colour) in enumerate(zip(soft.groups, cycle(_SHADES))):
+    for at, (group, colour) in enumerate(zip(soft.groups, cycle(SHADES))):
         tested = dof[:, at] > 0
         time, rejected = sheet.time[tested], declared[tested, at] > 0
         ratio = statistic[tested, at] / np.asarray(chdtri(dof[tested, at], soft.false_alarm), float)
