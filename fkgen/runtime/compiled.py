@@ -298,7 +298,8 @@ class CompiledFilter:
             self._drive(u, params)
         status = self._step(self._call)
         if status >= 0:
-            return Snapshot(self.layout, self._image(), status)
+            self._taken = bytes(self._y)
+            return Snapshot(self.layout, self._image(), status, self._taken)
         return self._refuse(status, "hf")
 
     def update(
@@ -317,7 +318,8 @@ class CompiledFilter:
             self._drive(u, params)
         status = self._update(self._call)
         if status >= 0:
-            return Snapshot(self.layout, self._image(), status)
+            self._taken = bytes(self._y)
+            return Snapshot(self.layout, self._image(), status, self._taken)
         return self._refuse(status, "h")
 
     def predict(
@@ -331,7 +333,7 @@ class CompiledFilter:
             self._drive(u, params)
         status = self._predict(self._call)
         if status >= 0:
-            return Snapshot(self.layout, self._image(), status)
+            return Snapshot(self.layout, self._image(), status, self._taken)
         return self._refuse(status, "f")
 
     def reset(
@@ -353,6 +355,7 @@ class CompiledFilter:
         told = record.values_of(self.layout.parameters, params, 1, self._dtype)
         data = self._starts(given, told)
         ctypes.memmove(ctypes.addressof(self._instance), data.ctypes.data, data.size)
+        self._taken = b""
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -365,10 +368,11 @@ class CompiledFilter:
         """
         data = own_bytes(self.layout, snapshot)
         ctypes.memmove(ctypes.addressof(self._instance), data, len(data))
+        self._taken = snapshot.y
 
     def snapshot(self) -> Snapshot:
         """The instance as it is now."""
-        return Snapshot(self.layout, self._image(), 0)
+        return Snapshot(self.layout, self._image(), 0, self._taken)
 
     def __copy__(self) -> CompiledFilter:
         """A filter with an instance of its own, where this one is."""

@@ -158,10 +158,11 @@ class Smoothed:
 class Snapshot:
     """The instance after a sample, frozen: every port is an attribute; equal if all bits are."""
 
-    __slots__ = ("data", "layout", "status")
+    __slots__ = ("data", "layout", "status", "y")
 
-    def __init__(self, layout: Layout, data: bytes, status: int) -> None:
+    def __init__(self, layout: Layout, data: bytes, status: int, y: bytes = b"") -> None:
         self.layout, self.data, self.status = layout, data, status
+        self.y = y  # Of the last update; empty: there was none
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         of_type("port", name, str, "the name of a port")
@@ -172,10 +173,19 @@ class Snapshot:
                 value = port.unpacked(np.frombuffer(self.data, dtype, port.size, offset))
                 if port.flags:
                     return value > 0
+                if port.per_row:
+                    value = np.where(self._absent(value == 0), np.nan, value)
                 return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
         names = [port.name for port in self.layout.ports]
         raise DataError("port", given=repr(name), expected=record.choice(name, names))
+
+    def _absent(self, silent: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Rows that the last update did not have: missing, or out of their range and so silent."""
+        if not self.y:
+            return np.ones_like(silent)
+        missing = np.isnan(np.frombuffer(self.y, self.layout.dtype))
+        return missing | (silent & self["rejected"] if "rejected" in self.ports else False)
 
     def __getattr__(self, name: str) -> Array:
         if name in Snapshot.__slots__:  # not set yet: while being copied

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from copy import copy
+
 import numpy as np
 import pytest
 from plants import MOTOR, PARAMETERS, SENSED, VARYING, common, motor, random_model, spec
@@ -175,6 +178,37 @@ def test_a_sample_with_an_input_that_is_no_number_is_held(name):
         np.testing.assert_array_equal(got[f"{of}_state"][0], x0.astype(found.layout.dtype))
         np.testing.assert_array_equal(got[f"{of}_covariance"][0], P0.astype(found.layout.dtype))
     assert np.isnan(got.innovation[0]).all()
+
+
+@pytest.mark.parametrize("ranged", [False, True])
+def test_a_snapshot_shows_the_innovations_that_a_run_shows(ranged):
+    """NaN where the row is missing or out of its range; 0 where y is what was predicted."""
+    outputs = [{"name": "a", "range": [-9.0, 9.0]} if ranged else {"name": "a"}, {"name": "b"}]
+    model = {"A": [[1.0]], "C": [[1.0], [1.0]], "Q": [[0.1]], "R": [[1.0, 0.0], [0.0, 1.0]]}
+    model |= {"x0": [0.0], "P0": [[1.0]], "outputs": outputs}
+    table = {"name": "rows", "model": model, "filter": {"family": "kf"}}
+    found = fkgen.build(fkgen.Spec.from_dict(table))
+    first = [10.0 if ranged else np.nan, 0.0]
+    wanted = [[np.nan, 0.0], [2.0, np.nan], [np.nan, np.nan]]
+    assert np.isnan(found.snapshot().innovation).all()
+    for y, innovation in zip((first, [2.0, np.nan], None), wanted, strict=True):
+        taken = found.step(y)
+        for each in (
+            taken,
+            found.snapshot(),
+            pickle.loads(pickle.dumps(taken)),  # noqa: S301 - our own bytes
+            copy(found).snapshot(),
+        ):
+            np.testing.assert_array_equal(each.innovation, innovation)
+    run = found.run([first, [2.0, np.nan], [np.nan, np.nan]])
+    np.testing.assert_array_equal(run.innovation, wanted)
+    found.step([1.0, 1.0])
+    found.restore(taken)
+    with pytest.raises(fkgen.StepRefused):
+        found.update([np.inf, 1.0])
+    assert np.isnan(found.predict().innovation).all()
+    found.reset()
+    assert np.isnan(found.snapshot().innovation).all()
 
 
 def test_a_sample_with_a_parameter_out_of_its_range_or_no_number_is_held():

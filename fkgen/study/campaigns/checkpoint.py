@@ -96,16 +96,17 @@ class Checkpoint:
 
     def write(self) -> None:
         """Write the file anew, in one step."""
-        sums = self.ledger.total()
-        if self.path is None or sums is None:
+        if self.path is None:
             return
-        done = sorted((each.start, each.stop) for each in self.ledger.done)
-        state = {
-            "done": done,
-            "trials": sums.trials,
-            "shapes": {name: list(shape) for name, shape in sums.shapes.items()},
-            "sums": sums.parts.tolist(),
-        }
+        sums = self.ledger.total()
+        state: dict[str, Any] = {"done": []}  # as long as no block is whole
+        if sums is not None:
+            state = {
+                "done": sorted((each.start, each.stop) for each in self.ledger.done),
+                "trials": sums.trials,
+                "shapes": {name: list(shape) for name, shape in sums.shapes.items()},
+                "sums": sums.parts.tolist(),
+            }
         text = json.dumps({"kind": _KIND, **self._facts, **state})
         write_whole(self.path, text.encode(), force=True)
         self._written = time.monotonic()
@@ -116,16 +117,15 @@ class Checkpoint:
             if found["kind"] != _KIND:
                 raise KeyError  # noqa: TRY301 - told below
             facts = {key: found[key] for key in self._facts}
-            shapes = {name: tuple(shape) for name, shape in found["shapes"].items()}
-            sums = Sums(found["trials"], shapes, np.array(found["sums"], np.float64))
             done = {range(*each) for each in found["done"]}
+            sums = _sums(found) if done else None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             given = "a file that is no checkpoint, or one that cannot be read; it stays as it is"
             expected = f"a {_KIND}, or the name of a new file"
             raise DataError(str(path), given=given, expected=expected) from None
         self._compare(path, facts)
         most = work.trials // work.size
-        if any(each.stop > most for each in done):
+        if sums is not None and any(each.stop > most for each in done):
             given = f"{sums.trials} trials in it, and {work.trials} wanted"
             raise DataError(str(path), given=given, expected="at least as many trials as before")
         return Ledger(done, sums)
@@ -136,6 +136,11 @@ class Checkpoint:
                 shown = (facts[key], own) if key in _SHOWN else ("another one", "this one")
                 given, expected = f"a checkpoint with {key} {shown[0]}", f"{key} {shown[1]}"
                 raise DataError(str(path), given=given, expected=f"{expected}, or a new file")
+
+
+def _sums(found: Mapping[str, Any]) -> Sums:
+    shapes = {name: tuple(shape) for name, shape in found["shapes"].items()}
+    return Sums(found["trials"], shapes, np.array(found["sums"], np.float64))
 
 
 #: Facts whose values are worth saying.

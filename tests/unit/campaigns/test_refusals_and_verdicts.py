@@ -137,6 +137,20 @@ def test_checkpoints_of_something_else_are_refused_and_left_alone(spec, tmp_path
         fkgen.montecarlo(spec, 400, 300, 1, checkpoint=tmp_path / "no" / "kept.json")
 
 
+def test_a_small_campaign_leaves_a_checkpoint_too(spec, tmp_path):
+    """Fewer trials than one block: nothing to keep yet but what it is about."""
+    file = tmp_path / "kept.json"
+    fkgen.montecarlo(spec, 20, 30, 1, checkpoint=file)
+    before = file.read_bytes()
+    with pytest.raises(fkgen.DataError, match="seed 1; expected seed 2"):
+        fkgen.montecarlo(spec, 20, 30, 2, checkpoint=file)
+    with pytest.raises(fkgen.DataError, match="steps 30; expected steps 31"):
+        fkgen.montecarlo(spec, 20, 31, 1, checkpoint=file)
+    assert file.read_bytes() == before
+    more = fkgen.montecarlo(spec, 50, 30, 1, checkpoint=file)
+    assert more.to_json() == fkgen.montecarlo(spec, 50, 30, 1).to_json()
+
+
 def test_a_scheduler_that_is_not_there(spec, monkeypatch):
     monkeypatch.setattr(engine, "PATIENCE", 0.2)
     with pytest.raises(fkgen.DataError, match=r"tcp://127\.0\.0\.1:9', where none answers"):
