@@ -73,6 +73,9 @@ def signal(
 
 def measurements(layout: Layout, y: Any) -> Array:
     """The measurements of a record, (T, p)."""
+    if y is None:
+        p = len(layout.outputs)
+        raise DataError("y", given="nothing", expected=f"shape (T, {p}){_listed(layout.outputs)}")
     return signal("y", y, len(layout.outputs), layout.dtype, layout.outputs)
 
 

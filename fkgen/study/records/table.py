@@ -77,7 +77,8 @@ def numbers_of(option: str, text: str, count: int) -> Array | None:
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
-        expected = f"{count} finite numbers, separated by commas"
+        one = "a finite number"
+        expected = one if count == 1 else f"{count} finite numbers, separated by commas"
         raise DataError(option, given=repr(text), expected=expected)
     return values
 

@@ -128,7 +128,7 @@ def test_a_picture_is_drawn_and_not_over_another(call, folder):
         (["kf.toml", *STEP, "--shape", "puls"], "--shape: given 'puls'; expected 'pulse'"),
         (["kf.toml", *STEP, "--start", "300"], "start: given 300; expected a sample from 0 to 299"),
         (["kf.toml", *STEP, "--mode", "x"], "mode: given 'x'; expected one of: both"),
-        (["kf.toml", *STEP, "--u", "1,2"], "--u: given '1,2'; expected 1 finite numbers"),
+        (["kf.toml", *STEP, "--u", "1,2"], "--u: given '1,2'; expected a finite number"),
         (["kf.toml", *STEP, "--fraction", "2", "--plot", "n.png"], "fraction: given 2.0"),
         (["kf.toml", *STEP, "--plot", "n.gif"], "the ending '.gif'"),
         (["kf.toml", "--profile", "none.csv"], "none.csv: given a path that cannot be read"),

@@ -25,6 +25,7 @@ Y, U = np.zeros((5, 2)), np.ones((5, 1))
         (np.zeros((5, 3)), U, r"y: given shape \(5, 3\)"),
         (np.zeros((2, 5, 2)), U, r"y: given shape \(2, 5, 2\)"),
         (0.0, U, "y: given shape"),
+        (None, U, r"y: given nothing; expected shape \(T, 2\): y0, y1"),
         (Y, None, r"u: given nothing; expected shape \(T, 1\): u0"),
         (Y, np.ones((4, 1)), "u: given 4 samples; expected 5, as many as y has"),
         (Y, np.ones((5, 2)), r"u: given shape \(5, 2\)"),
