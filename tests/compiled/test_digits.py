@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from digits import kalman, shortfall
+from digits import kalman, shortfall, windows
 from plants import built
 
 import fkgen
@@ -104,6 +104,30 @@ def test_float_keeps_what_is_promised_of_it(name):
     assert found["least"] > 0.0
     promised = PROMISED | ({"state": VAGUE} if name == "seasons" else {})
     assert {key: found[key] for key in promised if not found[key] < promised[key]} == {}
+
+
+def chain(ratio):
+    """Position, velocity and acceleration, of which two rows see the first and the last."""
+    return {
+        "A": [[1.0, 0.125, 0.0], [0.0, 1.0, 0.125], [0.0, 0.0, 0.95]],
+        "C": [[1.0, 0.0, 0.0], [1.0, 0.0, 1.0]],
+        "Q": np.diag([1e-4, 1e-3, 1e-2]),
+        "R": np.diag([1.0, 4.0]),
+        "x0": np.zeros(3),
+        "P0": ratio * np.eye(3),
+    }
+
+
+@pytest.mark.parametrize(("family", "ratio"), [("dfcf", 1e12), ("compression_full", 1e10)])
+def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio):
+    model, y = drawn(chain(ratio), 2000, 0.2)
+    soft = {"host": [0], "window": 20, "false_alarm": 0.05}
+    plant = spec(model, family, faults={"soft": soft}, filter={"test": False})
+    run = built(plant).run(y)
+    found = shortfall(run, windows(model, y, soft["host"], 20), np.array(model["C"]))
+    assert found["refused"] == 0
+    assert found["least"] > 0.0
+    assert {key: found[key] for key in PROMISED if not found[key] < PROMISED[key]} == {}
 
 
 def test_ports_are_what_the_factors_hold():
