@@ -88,17 +88,19 @@ def seasons(prior):
 
 
 RECORDS = {
-    "laser": (laser(), 20_000, 0.4),
-    "dense": (dense(1.7e6), 2000, 0.3),
-    "dense, wide": (dense(1e11), 500, 0.3),
-    "seasons": (seasons(1e10), 300, 0.1),
+    "laser": ("kf", laser(), 20_000, 0.4),
+    "dense": ("kf", dense(1.7e6), 2000, 0.3),
+    "dense, wide": ("kf", dense(1e11), 500, 0.3),
+    "dense, steps": ("iekf", dense(1e8), 300, 0.3),
+    "seasons": ("kf", seasons(1e10), 300, 0.1),
 }
 
 
 @pytest.mark.parametrize("name", list(RECORDS))
 def test_float_keeps_what_is_promised_of_it(name):
-    model, y = drawn(*RECORDS[name])
-    run = built(spec(model)).run(y)
+    family, *record = RECORDS[name]
+    model, y = drawn(*record)
+    run = built(spec(model, family)).run(y)
     found = shortfall(run, kalman(model, y), np.array(model["C"]))
     assert found["refused"] == 0
     assert found["least"] > 0.0
