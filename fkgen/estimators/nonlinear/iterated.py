@@ -57,6 +57,7 @@ def iterated_filter(spec: Spec, *, source: str) -> Recursion:
         update=_update(spec, plant, symbols, (form, order)),
         predict=prediction(spec, plant, symbols, with_gain=False, order=order),
         form=form,
+        factor_order=order,
         notes=factors_note(order, spec),
         repeats=correlated_rows((plant.R,)),
     )
