@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from digits import kalman, shortfall
+from digits import kalman, shortfall, windows
 from plants import built
 
 import fkgen
@@ -88,22 +88,48 @@ def seasons(prior):
 
 
 RECORDS = {
-    "laser": (laser(), 20_000, 0.4),
-    "dense": (dense(1.7e6), 2000, 0.3),
-    "dense, wide": (dense(1e11), 500, 0.3),
-    "seasons": (seasons(1e10), 300, 0.1),
+    "laser": ("kf", laser(), 20_000, 0.4),
+    "dense": ("kf", dense(1.7e6), 2000, 0.3),
+    "dense, wide": ("kf", dense(1e11), 500, 0.3),
+    "dense, steps": ("iekf", dense(1e8), 300, 0.3),
+    "seasons": ("kf", seasons(1e10), 300, 0.1),
 }
 
 
 @pytest.mark.parametrize("name", list(RECORDS))
 def test_float_keeps_what_is_promised_of_it(name):
-    model, y = drawn(*RECORDS[name])
-    run = built(spec(model)).run(y)
+    family, *record = RECORDS[name]
+    model, y = drawn(*record)
+    run = built(spec(model, family)).run(y)
     found = shortfall(run, kalman(model, y), np.array(model["C"]))
     assert found["refused"] == 0
     assert found["least"] > 0.0
     promised = PROMISED | ({"state": VAGUE} if name == "seasons" else {})
     assert {key: found[key] for key in promised if not found[key] < promised[key]} == {}
+
+
+def chain(ratio):
+    """Position, velocity and acceleration, of which two rows see the first and the last."""
+    return {
+        "A": [[1.0, 0.125, 0.0], [0.0, 1.0, 0.125], [0.0, 0.0, 0.95]],
+        "C": [[1.0, 0.0, 0.0], [1.0, 0.0, 1.0]],
+        "Q": np.diag([1e-4, 1e-3, 1e-2]),
+        "R": np.diag([1.0, 4.0]),
+        "x0": np.zeros(3),
+        "P0": ratio * np.eye(3),
+    }
+
+
+@pytest.mark.parametrize(("family", "ratio"), [("dfcf", 1e12), ("compression_full", 1e10)])
+def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio):
+    model, y = drawn(chain(ratio), 2000, 0.2)
+    soft = {"host": [0], "window": 20, "false_alarm": 0.05}
+    plant = spec(model, family, faults={"soft": soft}, filter={"test": False})
+    run = built(plant).run(y)
+    found = shortfall(run, windows(model, y, soft["host"], 20), np.array(model["C"]))
+    assert found["refused"] == 0
+    assert found["least"] > 0.0
+    assert {key: found[key] for key in PROMISED if not found[key] < PROMISED[key]} == {}
 
 
 def test_ports_are_what_the_factors_hold():

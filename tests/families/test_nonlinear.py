@@ -52,6 +52,18 @@ def test_ports_are_those_of_the_filter_in_numpy(name, case):
     compared(found, in_numpy(plant, y, u, params), EXACT)
 
 
+#: Two rows of the six: factors are written in straight lines.
+SHORT = {"outputs": [{"name": "ax"}, {"name": "my"}], "h": {"ax": "a[0]", "my": "b[1]"}}
+SHORT |= {"R": [[0.4, 0.1], [0.1, 0.3]]}
+
+
+@pytest.mark.parametrize(("case", "rows"), [("circle", {}), ("attitude", SHORT)])
+def test_steps_of_iekf_are_the_same_in_factors(case, rows):
+    plant = spec_of(case, "iekf", iterations=2, code={"update": "ud"}, model=rows)
+    y, u, params = record_of(plant)
+    compared(interpreted(plant, y, u, params), in_numpy(plant, y, u, params), EXACT)
+
+
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_other_coefficients_and_records_agree_too(name, seed):

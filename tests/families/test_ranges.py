@@ -98,7 +98,7 @@ def test_the_filter_is_the_one_with_guards_in_numpy(guarded):
     np.testing.assert_array_equal(run.status, np.where(out, 2, np.where(missing, 1, 0)))
 
 
-@pytest.mark.parametrize("family", ["kf", "mkf", "genie", "mme", "one_step", "paper"])
+@pytest.mark.parametrize("family", ["kf", "iekf", "mkf", "genie", "mme", "one_step", "paper"])
 def test_factors_are_clamped_as_their_covariance_is(family):
     """The Joseph form is clamped by entries of P, factors by rows of U and D: one filter."""
     given = table(of_y=(None, None))
@@ -107,6 +107,7 @@ def test_factors_are_clamped_as_their_covariance_is(family):
     sensor = {"problem": 1, "gamma_rate": 0.9, "delta_nominal_rate": 0.8, "noise_factor": 9.0}
     given["faults"] = {
         "kf": {},
+        "iekf": {},
         "mkf": {"actuator": {"success_rate": 0.7}},
         "mme": {"actuator": {}},
     }.get(family, {"sensor": sensor | {"rows": ["m_0"]}})

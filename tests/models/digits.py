@@ -46,11 +46,31 @@ def kalman(model, y, u=None):
         x, P, S = corrected(x, P, C, R, now)
         for kept, value in ((states, x), (covariances, P), (variances, S)):
             kept.append(value.astype(float))
-        x, P = A @ x, A @ P @ A.T + Q
-        P = (P + P.T) / 2
+        x, P = moved(x, P, A, Q)
         if B is not None:
             x = x + B @ exact(u[k])
     return np.array(states), np.array(covariances), np.array(variances)
+
+
+def moved(x, P, A, Q):
+    """Mean and covariance of the next sample."""
+    P = A @ P @ A.T + Q
+    return A @ x, (P + P.T) / 2
+
+
+def windows(model, y, host, window):
+    """The same of a host of some rows that takes over all of them where k mod window = 0, k > 0."""
+    A, C, Q, R, P, x = (exact(model[name]) for name in ("A", "C", "Q", "R", "P0", "x0"))
+    y, own, found = np.asarray(y, float), np.full_like(y, np.nan), []
+    own[:, host] = y[:, host]
+    one = every = x, P
+    for k in range(len(y)):
+        *one, S = corrected(*one, C, R, own[k])
+        *every, _ = corrected(*every, C, R, y[k])
+        one = every if k and k % window == 0 else one
+        found.append([each.astype(float) for each in (*one, S)])
+        one, every = moved(*one, A, Q), moved(*every, A, Q)
+    return tuple(map(np.array, zip(*found, strict=True)))
 
 
 def shortfall(run, expected, C):

@@ -70,6 +70,9 @@ def specs(scalar="double"):
         "dfcf": soft(TWO_ALONE, host=[1], window=2, code=code),
         "dfcf_joseph": soft(TWO_ALONE, window=3, reacquire=1, code=code | {"update": "joseph"}),
         "dfcf_groups": soft(THREE_ALONE, window=3, groups=[[2], [1]], reacquire=2, code=code),
+        "dfcf_ud": soft(
+            THREE_ALONE, window=3, groups=[[2], [1]], reacquire=1, code=code | {"update": "ud"}
+        ),
         "compression_full": soft(TWO, family="compression_full", host=[], window=3, code=code),
         "cpcf": soft(TWO_ALONE, family="cpcf", host=[1], window=2, code=code),
         "cpcf_paper": soft(

@@ -11,6 +11,7 @@ import pytest
 import sensor_specs
 import spread
 from jump_plants import EXAMPLE_A, EXAMPLE_B, random_table, spec_of
+from nonlinear_specs import spec_of as spec_of_equations
 from plants import covariance, generated, motor, random_model, spec
 from toolchain import needs_compiler, run_main
 
@@ -19,6 +20,7 @@ from fkgen.backend.execute import Machine
 from fkgen.backend.lower import lower
 from fkgen.errors import DataError, StepRefused
 from fkgen.families import family
+from fkgen.runtime.results import Snapshot
 
 pytestmark = needs_compiler()
 
@@ -150,6 +152,43 @@ def test_a_record_goes_on_where_a_snapshot_was_taken(name):
     np.testing.assert_array_equal(part.held, whole.held[at:])
     for port in found.ports:
         np.testing.assert_array_equal(part[port], whole[port][at:])
+
+
+def spoilt(found):
+    """A snapshot whose covariances, or whose factors, have lost their positivity."""
+    before, kind = found.snapshot(), np.dtype(found.layout.dtype)
+    values = np.frombuffer(before.data, kind, len(before.data) // kind.itemsize).copy()
+    at = 0
+    for port in found.layout.ports:
+        if "covariance" in port.name or "factors" in port.name or "moment" in port.name:
+            values[at : at + port.size] = -np.abs(values[at : at + port.size])
+        at += port.size
+    return Snapshot(before.layout, values.tobytes(), before.status)
+
+
+MORE = {name: spread.specs()[name] for name in ("dfcf_ud",)}
+LOST = (*ONES, "kf_correlated", "mkf_independent", "ekf", "iekf", "ukf", "dfcf_ud")
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_a_start_leads_out_of_a_covariance_that_is_none(name):
+    nonlinear = name in {"ekf", "iekf", "ukf"}
+    plant = spec_of_equations("circle", name) if nonlinear else {**plants(), **MORE}[name]
+    y, u, params = data(plant, 4)
+    told = [{key: float(value[k]) for key, value in params.items()} or None for k in range(4)]
+    known, found = [None if u is None else u[k] for k in range(4)], fkgen.build(plant)
+    y[0] = 0.1
+    lost = spoilt(found)
+    found.restore(lost)
+    for _ in range(2):
+        with pytest.raises(StepRefused, match="NOT_POSITIVE_DEFINITE"):
+            found.step(y[0], known[0], told[0])
+        assert found.snapshot() == lost
+    found.reset()
+    other = fkgen.build(plant)
+    for k in range(4):
+        assert found.step(y[k], known[k], told[k]) == other.step(y[k], known[k], told[k])
+        assert other.snapshot().status >= 0
 
 
 def test_records_of_a_batch_may_start_apart():

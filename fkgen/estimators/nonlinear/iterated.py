@@ -18,11 +18,13 @@ from fkgen.estimators.gaussian.estimate import (
     correct,
     demand_finite,
     demand_positive,
+    has_factors,
     measurement_of,
     update_form,
 )
 from fkgen.estimators.gaussian.rows import Form
-from fkgen.estimators.gaussian.sequential import Conditioned, condition
+from fkgen.estimators.gaussian.sequential import Conditioned, Prior, condition
+from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -31,7 +33,7 @@ from fkgen.symbolic.lifting.equations import Lifted, shifted, turned_by
 from fkgen.symbolic.lifting.linearise import evaluated, seen_from
 from fkgen.symbolic.linalg import column, congruence, is_zero, pack, reduced, sparse, total, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import factor_ports, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -40,29 +42,42 @@ def iterated_filter(spec: Spec, *, source: str) -> Recursion:
     plant = plant_of(spec)
     stayed = shown("stayed", (), "1 where a step did not lower the cost, so the estimate stayed")
     ports = (*state_ports(spec), *innovation_ports(spec), stayed)
-    symbols = symbols_of(spec, plant, ports)
-    form = update_form(spec, plant, augmented=False)
+    form = update_form(spec, plant, augmented=False, factored=has_factors(plant))
+    order = order_of((plant,)) if form == "ud" else ()
+    ports = (*factor_ports(plant.ne), *ports) if order else ports
+    symbols, start = symbols_of(spec, plant, ports), None
+    if order:
+        begun = {"predicted_factors": 1, "filtered_factors": 1}
+        start = started(spec, symbols, begun, order)
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        update=_update(spec, plant, symbols, form),
-        predict=prediction(spec, plant, symbols, with_gain=False),
+        start=start,
+        update=_update(spec, plant, symbols, (form, order)),
+        predict=prediction(spec, plant, symbols, with_gain=False, order=order),
         form=form,
+        factor_order=order,
+        notes=factors_note(order, spec),
         repeats=correlated_rows((plant.R,)),
     )
 
 
-def _update(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], form: Form) -> Phase:
-    builder = PhaseBuilder(symbols)
-    prior, y = (symbols["predicted_state"], symbols["predicted_covariance"]), symbols["y"]
-    demand_positive(builder, prior[1])
+def _update(
+    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], how: tuple[Form, tuple[int, ...]]
+) -> Phase:
+    builder, y, (form, order) = PhaseBuilder(symbols), symbols["y"], how
+    held: ca.SX | Factors = symbols["predicted_covariance"]
+    if order:
+        held = Factors.of(symbols["predicted_factors"], order, plant.scalar)
+    prior: Prior = symbols["predicted_state"], held
+    demand_positive(builder, held)
     plant = bound(builder, plant, "CDRd")
     (plant,) = seen_from(builder, [plant], prior[:1], symbols["u"])
     stayed = ca.SX(0)
     if plant.lifted is None or plant.lifted.plain[1]:  # the first step ends where the cost is least
         found, posterior = correct(builder, plant, certain(symbols["u"]), prior, y=y, form=form)
-        state, covariance = posterior.state, posterior.covariance
+        state, covariance, factors = posterior.state, posterior.covariance, posterior.factors
     else:
         search = Search(
             builder=builder,
@@ -73,10 +88,12 @@ def _update(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], form: Form) -> 
             y=y,
             form=form,
         )
-        found, state, covariance = search.run(spec.filter.options.iterations)
+        found, state, covariance, factors = search.run(spec.filter.options.iterations)
         stayed = search.kept["stays"]
     demand_finite(builder, state)
     results = {"filtered_state": state, "filtered_covariance": covariance, "stayed": stayed}
+    if factors is not None:
+        results["filtered_factors"] = factors.packed
     with builder.titled("results of the update"):
         builder.assign(results | innovation_results(found))
     return builder.phase()
@@ -121,7 +138,7 @@ class Search:
     builder: PhaseBuilder
     plant: Plant  # With h linearised at the prediction
     lifted: Lifted
-    prior: tuple[ca.SX, ca.SX]  # State, packed covariance
+    prior: Prior  # State, and covariance, packed or as factors
     u: ca.SX
     y: ca.SX
     form: Form
@@ -144,8 +161,8 @@ class Search:
         with builder.titled("cost of the prediction"):
             builder.assign(start | ({"corrected": self.prior[0]} if plant.attitudes else {}))
 
-    def run(self, iterations: int) -> tuple[Conditioned, ca.SX, ca.SX]:
-        """What the prediction says of y, and the corrected state with its packed covariance."""
+    def run(self, iterations: int) -> tuple[Conditioned, ca.SX, ca.SX, Factors | None]:
+        """What the prediction says of y; corrected state, packed covariance, its factors if any."""
         builder, plant, ne = self.builder, self.plant, self.plant.ne
         innovation = column([builder.symbol(f"innovation_{i}") for i in range(plant.ny)])
         first = found = self._iterate(0, last=iterations == 1)
@@ -153,13 +170,25 @@ class Search:
             found = self._iterate(i, last=i + 1 == iterations)
         S = first.innovation_covariance
         if self.independent.shares:
-            S = congruence(plant.C, unpack(self.prior[1], ne)) + pack(plant.R)
+            S = self._seen(plant.C) + pack(plant.R)
         first = replace(first, innovation=innovation, innovation_covariance=S)
         if not plant.attitudes:
-            return first, self.prior[0] + self.kept["step"], found.covariance
+            state = self.prior[0] + self.kept["step"]
+            return first, state, found.covariance, found.factors
         (turn,) = builder.name_all("turn", (turned_by(plant.attitudes, self.kept["step"]),))
+        if found.factors is not None:
+            turned = found.factors.moved(turn, ca.SX(ne, 0), ca.SX(0, 1))
+            turned = turned.named(builder, "turned_factors")
+            return first, self.kept["corrected"], turned.covariance(), turned
         covariance = congruence(turn, unpack(found.covariance, ne))
-        return first, self.kept["corrected"], covariance
+        return first, self.kept["corrected"], covariance, None
+
+    def _seen(self, C: ca.SX) -> ca.SX:
+        """C P C', packed."""
+        held = self.prior[1]
+        if isinstance(held, Factors):
+            return held.seen(C)
+        return congruence(C, unpack(held, self.plant.ne))
 
     def _iterate(self, i: int, *, last: bool) -> Conditioned:
         """Find the next step with H of the last one taken, and take it if it lowers the cost."""
@@ -200,7 +229,9 @@ class Search:
         builder, plant = self.builder, self.plant
         zero, R = ca.SX.zeros(plant.ny), ca.diag(column(self.independent.variances))
         stated = measurement_of(plant, y=self.y, C=H, offset=zero, R=R)
-        prior = ca.SX.zeros(plant.ne), unpack(self.prior[1], plant.ne)
+        held = self.prior[1]
+        held = held if isinstance(held, Factors) else unpack(held, plant.ne)
+        prior = ca.SX.zeros(plant.ne), held
         rows = ca.vertsplit(target)
         return condition(builder, prior, stated, tag=tag, form=self.form, innovation=rows)
 

@@ -16,6 +16,7 @@ import operator
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
+from typing import Any
 
 import casadi as ca
 
@@ -28,26 +29,32 @@ from fkgen.estimators.gaussian.estimate import (
     demand_positive,
     finite,
     propagate,
+    propagate_factors,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
+from fkgen.estimators.gaussian.ud import Factors, packed_factors
 from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interface import Port, triangle
 from fkgen.symbolic.linalg import column, congruence, diagonal, pack, split_packed, unpack
-from fkgen.symbolic.ports import estimate_ports
+from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.ports import carried, estimate_ports, factor_ports
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Groups = tuple[int, ...]
+
+#: A covariance, packed or in factors.
+Held = ca.SX | Factors
 
 
 def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
     count = len(_subsets(window.soft_faults(spec)))
     ports = *window.host_ports(spec), *_ports(spec, count), *window.window_ports(spec)
-    design = window.Design(spec, ports)
+    design = window.Design(spec, ports, _factor_ports(spec.model.ne, count))
     phases = _update(design), _closing(design), _predict(design)
     return design.recursion(source, phases)
 
@@ -69,6 +76,14 @@ def _ports(spec: Spec, count: int) -> tuple[Port, ...]:
     return tuple(result)
 
 
+def _factor_ports(n: int, count: int) -> tuple[Port, ...]:
+    """Factors of all covariances, where they are carried so."""
+    names = ("compression_", "predicted_compression_")
+    shape, meaning = (count, len(triangle(n))), "factors of {}covariance, as those of P"
+    beside = (carried(f"{name}factors", shape, meaning.format(name)) for name in names)
+    return (*factor_ports(n), *beside)
+
+
 def _subsets(soft: SoftFaults) -> list[Groups]:
     """The groups that each compression filter takes."""
     groups = range(len(soft.groups))
@@ -80,42 +95,49 @@ def _rows(soft: SoftFaults, subset: Groups) -> tuple[int, ...]:
     return tuple(sorted((*soft.host, *(row for group in subset for row in soft.groups[group]))))
 
 
-def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.SX, ca.SX]]:
-    """(groups, d, packed P*) of every compression filter."""
+def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.SX, Held]]:
+    """(groups, d, P*) of every compression filter; P* is packed, or in factors."""
     n, symbols = design.plant.nx, design.symbols
     deviation = ca.vertsplit(symbols[f"{prefix}compression_deviation"], n)
-    covariance = split_packed(symbols[f"{prefix}compression_covariance"], n)
-    return list(zip(_subsets(design.soft), deviation, covariance, strict=True))
+    what = "factors" if design.order else "covariance"
+    held = split_packed(symbols[f"{prefix}compression_{what}"], n)
+    return list(zip(_subsets(design.soft), deviation, map(design.held, held), strict=True))
 
 
 def _update(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
+    state, own = symbols["predicted_state"], design.host("predicted")
     priors = _filters(design, "predicted_")
-    for covariance in (packed, *(P for _, _, P in priors)):
-        demand_positive(builder, covariance)
+    for held in (own, *(P for _, _, P in priors)):
+        demand_positive(builder, held)
     plant, whole, innovation = window.observed(builder, design)
     host = _host(design, builder, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
     filtered = builder.define("host_state", state + correction)
-    deviations, covariances = [], []
+    deviations, conditioned = [], []
     for at, (subset, d, P) in enumerate(priors):
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
         with builder.titled(f"filter with group {', '.join(map(str, subset))}"):
-            found = condition(builder, (d, unpack(P, n)), part, tag=tag, form=design.form)
+            found = condition(builder, (d, _prior(P, n)), part, tag=tag, form=design.form)
             deviations.append(builder.define(f"deviation{tag}", found.mean - correction))
-        covariances.append(found.covariance)
+        conditioned.append(found)
     demand_finite(builder, ca.vertcat(filtered, *deviations))
     counted = window.collect(builder, symbols, design.soft)
     with builder.titled("results of the update"):
         builder.assign(
             {
                 "filtered_state": filtered,
-                "filtered_covariance": packed if host is None else host.covariance,
+                "filtered_covariance": (
+                    symbols["predicted_covariance"] if host is None else host.covariance
+                ),
                 "compression_deviation": ca.vertcat(*deviations),
-                "compression_covariance": ca.vertcat(*covariances),
+                "compression_covariance": ca.vertcat(*(each.covariance for each in conditioned)),
+                **_factors(
+                    ("filtered_", own if host is None else host.factors),
+                    ("compression_", *(each.factors for each in conditioned)),
+                ),
                 **window.innovation_of_host(design, plant, innovation, host),
                 **counted,
             }
@@ -130,9 +152,23 @@ def _host(
     rows, n = design.soft.host, design.plant.nx
     if not rows:
         return None
-    prior = (ca.SX.zeros(n), unpack(design.symbols["predicted_covariance"], n))
+    prior = (ca.SX.zeros(n), _prior(design.host("predicted"), n))
     part, known = _part(whole, innovation, rows, "host"), [innovation[i] for i in rows]
     return condition(builder, prior, part, tag="_host", form=design.form, innovation=known)
+
+
+def _prior(held: Held, n: int) -> Held:
+    """What rows are folded into: a matrix, or factors."""
+    return held if isinstance(held, Factors) else unpack(held, n)
+
+
+def _factors(*of: tuple[Any, ...]) -> dict[str, ca.SX]:
+    """Ports of factors by prefix, if these are any."""
+    return {
+        f"{prefix}factors": packed_factors(held)
+        for prefix, *held in of
+        if isinstance(held[0], Factors)
+    }
 
 
 def _part(
@@ -166,11 +202,9 @@ def _closing(design: window.Design) -> Phase:
         title = f"the host takes over: group {', '.join(map(str, subset))}"
         takeovers.append(window.Takeover(title, agreed, d, P))
 
-    def restarted(covariance: ca.SX) -> dict[str, ca.SX]:
-        return {
-            "compression_deviation": ca.SX.zeros(n * len(filters)),
-            "compression_covariance": ca.vertcat(*[covariance] * len(filters)),
-        }
+    def restarted(host: dict[str, ca.SX]) -> dict[str, ca.SX]:
+        own = {f"compression_{of}": ca.repmat(held, len(filters)) for of, held in host.items()}
+        return {"compression_deviation": ca.SX.zeros(n * len(filters)), **own}
 
     return window.closed(builder, design, verdicts, takeovers, restarted=restarted)
 
@@ -179,13 +213,14 @@ def _test(design: window.Design, builder: PhaseBuilder, group: int) -> Quadratic
     """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
     n, host = design.plant.nx, design.symbols["filtered_covariance"]
     _, d, P = _filters(design)[group]
+    other = P.covariance() if isinstance(P, Factors) else P
     names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
     for name, size in zip(names, (host.numel(), n, n), strict=True):
         builder.local(name, size, initial=0.0)
     with builder.titled(f"test of group {group}"):
         with builder.if_positive(design.symbols["collecting"][group] - 0.5):
             variances = column(diagonal(host))
-            builder.assign(dict(zip(names, (host - P, d, variances), strict=True)))
+            builder.assign(dict(zip(names, (host - other, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
         return quadratic_form(builder, names, n, DIRECTION[design.spec.code.scalar], table)
 
@@ -195,10 +230,16 @@ def _predict(design: window.Design) -> Phase:
     builder = PhaseBuilder(symbols)
     plant = bound(builder, design.plant, "ABQc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
-    state, covariance, _ = propagate(builder, plant, certain(symbols["u"]), filtered)
-    filters = _filters(design)
+    filters, factors = _filters(design), {}
     deviations = [plant.A @ d for _, d, _ in filters]
-    covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for _, _, P in filters]
+    if design.order:
+        state, *moved = _moved_factors(design, builder, plant, filtered)
+        covariance, *covariances = (each.covariance() for each in moved)
+        factors = _factors(("predicted_", moved[0]), ("predicted_compression_", *moved[1:]))
+    else:
+        state, covariance, _ = propagate(builder, plant, certain(symbols["u"]), filtered)
+        held = [P for _, _, P in filters if not isinstance(P, Factors)]
+        covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for P in held]
     counted = window.count_down(builder, symbols, design.soft)
     guards = [finite(state, covariance), *map(finite, deviations, covariances)]
     with builder.titled("prediction of the next sample"):
@@ -208,8 +249,23 @@ def _predict(design: window.Design) -> Phase:
                 "predicted_covariance": covariance,
                 "predicted_compression_deviation": ca.vertcat(*deviations),
                 "predicted_compression_covariance": ca.vertcat(*covariances),
+                **factors,
                 **counted,
             },
             guards,
         )
     return builder.phase()
+
+
+def _moved_factors(
+    design: window.Design, builder: PhaseBuilder, plant: Plant, filtered: Posterior
+) -> tuple[Any, ...]:
+    """The predicted state, and factors of the host and of every compression filter."""
+    held = [design.host("filtered"), *(P for _, _, P in _filters(design))]
+    inputs, state, moved = certain(design.symbols["u"]), None, []
+    for at, each in enumerate(each for each in held if isinstance(each, Factors)):
+        found = propagate_factors(plant, inputs, filtered, each)
+        state = found[0] if state is None else state
+        with builder.titled("factors of the next covariance"):
+            moved.append(found[1].named(builder, f"next_factors_{at}"))
+    return state, *moved

@@ -16,10 +16,11 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import bound, finite, measurement_of, update_form
 from fkgen.estimators.gaussian.sequential import Conditioned, innovations
+from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Outcome, Port, Status
+from fkgen.symbolic.interface import Outcome, Port, Status, triangle
 from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
@@ -48,11 +49,30 @@ def soft_faults(spec: Spec) -> SoftFaults:
 class Design:
     """The host and what waits for the end of a window: what the phases are written from."""
 
-    def __init__(self, spec: Spec, ports: tuple[Port, ...]) -> None:
-        self.spec, self.soft, self.ports = spec, soft_faults(spec), ports
+    def __init__(self, spec: Spec, ports: tuple[Port, ...], factors: tuple[Port, ...] = ()) -> None:
+        """Lay out ``ports``; ``factors`` are of covariances, of a filter that can use them."""
+        self.spec, self.soft = spec, soft_faults(spec)
         self.plant = plant_of(spec)
-        self.symbols = symbols_of(spec, self.plant, ports)
-        self.form = update_form(spec, self.plant, augmented=False)
+        own = len(triangle(self.plant.ne))
+        self.counts = {port.name: port.size // own for port in factors}
+        self.form = update_form(
+            spec,
+            self.plant,
+            augmented=False,
+            factored=bool(factors),
+            many=1 + max(self.counts.values(), default=0),
+        )
+        self.order = order_of((self.plant,)) if self.form == "ud" else ()
+        self.ports = (*factors, *ports) if self.order else ports
+        self.symbols = symbols_of(spec, self.plant, self.ports)
+
+    def held(self, packed: ca.SX) -> ca.SX | Factors:
+        """What a port holds: factors, if covariances are carried so."""
+        return Factors.of(packed, self.order, self.plant.scalar) if self.order else packed
+
+    def host(self, when: str) -> ca.SX | Factors:
+        """The covariance of the host, "predicted" or "filtered"."""
+        return self.held(self.symbols[f"{when}_{'factors' if self.order else 'covariance'}"])
 
     def recursion(
         self,
@@ -67,11 +87,14 @@ class Design:
             spec=self.spec,
             source=source,
             ports=self.ports,
+            start=(
+                started(self.spec, self.symbols, self.counts, self.order) if self.order else None
+            ),
             update=phases[0],
             closing=phases[1],
             predict=phases[2],
             form=self.form,
-            notes=notes,
+            notes=(*notes, *factors_note(self.order, self.spec)),
             outcomes=rejects if self.spec.filter.options.test else (),
         )
 
@@ -125,10 +148,11 @@ def innovation_of_host(
     design: Design, plant: Plant, innovation: list[ca.SX], found: Conditioned | None
 ) -> dict[str, ca.SX]:
     """The ports about the innovation; ``found`` is what the rows of the host say, if it has any."""
-    P = unpack(design.symbols["predicted_covariance"], plant.nx)
+    P = design.host("predicted")
+    seen = P.seen(plant.C) if isinstance(P, Factors) else congruence(plant.C, unpack(P, plant.nx))
     return {
         "innovation": column(innovation),
-        "innovation_covariance": congruence(plant.C, P) + pack(plant.R),
+        "innovation_covariance": seen + pack(plant.R),
         "nis": ca.SX(0) if found is None else found.nis,
         "log_likelihood": ca.SX(0) if found is None else found.log_likelihood,
     }
@@ -189,7 +213,13 @@ class Takeover:
     title: str
     agreed: ca.SX
     shift: ca.SX  # (n,), what its state is corrected by
-    covariance: ca.SX  # its own then, packed
+    covariance: ca.SX | Factors  # its own then, packed or in factors
+
+    def results(self, state: ca.SX) -> tuple[ca.SX, ...]:
+        """State, covariance, and factors if there are any."""
+        held = self.covariance
+        whole = (held.covariance(), held.packed) if isinstance(held, Factors) else (held,)
+        return state + self.shift, *whole
 
 
 def closed(
@@ -199,45 +229,44 @@ def closed(
     takeovers: Sequence[Takeover],
     *,
     title: str = "",
-    restarted: Callable[[ca.SX], dict[str, ca.SX]] = lambda _: {},
+    restarted: Callable[[dict[str, ca.SX]], dict[str, ca.SX]] = lambda _: {},
 ) -> Phase:
     """End the phase: the host as it becomes (25); what was collected is discarded in any case.
 
-    ``restarted``: what other ports are, given the covariance that the host has now.
+    ``restarted``: what other ports are, given covariance and factors that the host has now.
     """
     symbols, count = design.symbols, len(verdicts)
     accepted, rejected, statistic, dof = zip(*verdicts, strict=True)
-    host = {f"closed_{of}": symbols[f"filtered_{of}"] for of in ("state", "covariance")}
-    state, covariance = (builder.local(name, value.numel()) for name, value in host.items())
+    kinds = ("state", "covariance", *(("factors",) if design.order else ()))
+    host = {f"closed_{of}": symbols[f"filtered_{of}"] for of in kinds}
+    now = {of: builder.local(f"closed_{of}", symbols[f"filtered_{of}"].numel()) for of in kinds}
     with builder.titled(title):
         builder.assign(host)
     for each in takeovers:
-        moved = symbols["filtered_state"] + each.shift, each.covariance
+        moved = each.results(symbols["filtered_state"])
         with builder.titled(each.title), builder.if_positive(each.agreed):
             builder.assign(dict(zip(host, moved, strict=True)))
-    limit = design.spec.filter.options.reacquire
     counted = {}
-    if limit is not None:
-        counted = _reacquired(builder, limit, (accepted, rejected), takeovers[-1].shift)
+    if design.spec.filter.options.reacquire is not None:
+        counted = _reacquired(builder, design, (accepted, rejected), takeovers[-1].shift)
     with builder.titled("results of the window"):
         builder.assign(
             {
-                "filtered_state": state,
-                "filtered_covariance": covariance,
-                **restarted(covariance),
+                **{f"filtered_{of}": value for of, value in now.items()},
+                **restarted({of: value for of, value in now.items() if of != "state"}),
                 "collecting": ca.SX.zeros(count),
                 "test_statistic": ca.vertcat(*statistic),
                 "test_dof": ca.vertcat(*dof),
                 "fault_declared": ca.vertcat(*rejected),
                 **counted,
             },
-            [finite(state, covariance)],
+            [finite(now["state"], now["covariance"])],
         )
     return builder.phase(unless=COUNTDOWN)
 
 
 def _reacquired(
-    builder: PhaseBuilder, limit: int, verdicts: Sequence[Sequence[ca.SX]], d: ca.SX
+    builder: PhaseBuilder, design: Design, verdicts: Sequence[Sequence[ca.SX]], d: ca.SX
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
@@ -252,7 +281,13 @@ def _reacquired(
             builder.assign({"rejections_now": count + 1})
         with builder.if_positive(sum(accepted, start=ca.SX(-0.5))):
             builder.assign({"rejections_now": ca.SX(0)})
-        with builder.if_positive(count - (limit - 0.5)):
-            name = "closed_covariance"
-            builder.assign({name: builder.symbol(name) + outer_lower(d, d)})
+        with builder.if_positive(count - (design.spec.filter.options.reacquire - 0.5)):
+            name = f"closed_{'factors' if design.order else 'covariance'}"
+            held = design.held(builder.symbol(name))
+            if isinstance(held, Factors):
+                held = held.moved(ca.SX.eye(held.size), d, ca.SX(1))
+                held = held.named(builder, "reopened")
+                builder.assign({name: held.packed, "closed_covariance": held.covariance()})
+            else:
+                builder.assign({name: held + outer_lower(d, d)})
     return {"rejections": count}
