@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -280,17 +281,36 @@ def test_an_output_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["file", "spec.json.toml"]
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
-def test_a_browser_shows_it_without_an_error_or_a_request(tmp_path, page):
-    file, log = tmp_path / "page.html", tmp_path / "net.json"
-    page.write(file)
+def shown(folder, html):
+    """What a browser makes of a page, what it complains of, what the page asks a network for."""
+    file, log = folder / "page.html", folder / "net.json"
+    file.write_text(html)
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"]
-    command += [f"--user-data-dir={tmp_path / 'profile'}", f"--log-net-log={log}", "--v=0"]
-    command += ["--disable-background-networking", "--disable-component-update", "--dump-dom"]
-    shown = subprocess.run(
+    command += [f"--user-data-dir={folder / 'profile'}", f"--log-net-log={log}", "--dump-dom"]
+    found = subprocess.run(
         [*command, file.as_uri()], capture_output=True, text=True, timeout=60, check=True
     )
-    assert "CONSOLE" not in shown.stderr
-    assert [each for each in HEADINGS if f">{each}</h2>" not in shown.stdout] == []
-    events = re.findall(r'"initiator":"([^"]*)"[^}]*"url":"(http[^"]*)"', log.read_text())
-    assert [url for by, url in events if by != "not an origin"] == []  # those are the browser's own
+    asked_for = re.findall(r'"initiator":"([^"]*)".*"url":"(http[^"]*)"', log.read_text())
+    outside = [url for by, url in asked_for if by != "not an origin"]  # those are the browser's own
+    return found.stdout, found.stderr, outside
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
+def test_a_browser_shows_it_without_an_error_or_a_request(tmp_path, page):
+    dom, complaints, outside = shown(tmp_path, page.html)
+    assert [each for each in HEADINGS if f">{each}</h2>" not in dom] == []
+    assert "CONSOLE" not in complaints
+    assert outside == []
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
+def test_a_request_would_be_seen(tmp_path):
+    address = "http://127.0.0.1:9/x.png"
+    assert shown(tmp_path, f'<img src="{address}">')[2] == [address]
+
+
+def test_a_filter_with_windows_has_innovations_of_its_host_alone():
+    spec = fkgen.load(Path(__file__).parents[3] / "examples/soft_fault/cpcf.toml")
+    found = fkgen.montecarlo(spec, 8, 160)
+    assert len(found.outputs) == len(found.sensor_nis.value)
+    assert "nis" in found._repr_html_()
