@@ -169,18 +169,17 @@ class _Confinement:
             scale = builder.local(f"scale_{local}_{own}", 1, initial=1.0)
             with builder.if_positive(excess):
                 builder.assign({scale.name(): ca.sqrt(most / builder.at(local, own))})
-            if len(triangle(n)) <= LOOPED:
-                places = [begin + packed(max(row, j), min(row, j)) for j in range(n) if j != row]
-                with builder.if_positive(excess):
-                    builder.assign({At(local, k): builder.at(local, k) * scale for k in places})
-            else:
-                with builder.if_positive(excess), builder.loop("j", 0, row) as j:
-                    self._times(builder, At(local, begin + packed(row, j)), scale)
-                with builder.if_positive(excess), builder.loop("j", row + 1, n) as j:
-                    self._times(builder, At(local, begin + packed(j, row)), scale)
-            with builder.if_positive(excess):
                 if factors:
                     self._scale_factors(builder, At(factors, begin), row, scale)
+                if len(triangle(n)) <= LOOPED:
+                    for other in (i for i in range(n) if i != row):
+                        place = At(local, begin + packed(max(row, other), min(row, other)))
+                        self._times(builder, place, scale)
+                else:
+                    with builder.loop("j", 0, row) as j:
+                        self._times(builder, At(local, begin + packed(row, j)), scale)
+                    with builder.loop("j", row + 1, n) as j:
+                        self._times(builder, At(local, begin + packed(j, row)), scale)
                 builder.assign({At(local, own): ca.SX(most)})
 
     def _scale_factors(self, builder: PhaseBuilder, first: At, row: int, scale: ca.SX) -> None:
