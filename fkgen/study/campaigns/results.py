@@ -119,7 +119,7 @@ def campaign_of(work: Work, sums: Sums) -> Campaign:
     return Campaign(
         name=work.spec.name,
         states=states,
-        outputs=tuple(each.name for each in work.spec.model.outputs),
+        outputs=_rows(work.spec, sums),
         trials=sums.trials,
         steps=request.steps,
         seed=request.seed,
@@ -127,6 +127,13 @@ def campaign_of(work: Work, sums: Sums) -> Campaign:
         verdicts=verdicts_of(tests_of(sums, work.spec, sums.trials * request.steps), sums.trials),
         **plain,
     )
+
+
+def _rows(spec: Spec, sums: Sums) -> tuple[str, ...]:
+    """The measurements that innovations are about: those of the host where others wait."""
+    soft, names = spec.faults.soft, [each.name for each in spec.model.outputs]
+    tested = names if soft is None else [names[i] for i in soft.host]
+    return tuple(tested) if sums.shapes["sensor_nis"] == (len(tested),) else ()
 
 
 def _root(square: Statistic) -> Statistic:

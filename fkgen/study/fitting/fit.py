@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.console import Advance, progressing
+from fkgen.console import Advance, html_table, progressing
 from fkgen.errors import DataError, SpecError
 from fkgen.pipeline import build
 from fkgen.problem import Spec
@@ -131,6 +131,16 @@ class Fit:
     def __repr__(self) -> str:
         told = ", ".join(f"{name} = {value:.6g}" for name, value in self.estimates.items())
         return f"<Fit of {self.spec.name}: {told}; {self.message}>"
+
+    def _repr_html_(self) -> str:
+        """Estimates next to the defaults, for a notebook."""
+        before, errors = self.before.defaults, self.standard_errors
+        rows = (
+            (name, f"{before[name]:.6g}", f"{value:.6g}", f"{errors[name]:.3g}")
+            for name, value in self.estimates.items()
+        )
+        head = ("parameter", "default", "estimate", "standard error")
+        return html_table(f"{self.spec.name}: {self.message}", head, rows)
 
 
 def fit(  # noqa: PLR0917 - as `CompiledFilter.run`, with two more

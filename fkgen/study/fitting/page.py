@@ -18,17 +18,17 @@ from fkgen.problem import Spec
 from fkgen.study.fitting.fit import Fit
 from fkgen.study.fitting.likelihood import Records, in_double
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, SHADES, styled
+from fkgen.study.reports.whiteness import LAGS, Correlations, correlations
 
 Array = NDArray[np.float64]
 
-LAGS = 20  # of the autocorrelation, in samples
 MOST = 8  # profiles: more would be a page nobody reads
 _ACROSS = 4
 _DEEP = 50.0  # times the fall to the ends of an interval: lower is drawn there
 _PIECES = 100  # of a record, over which the NIS is averaged
 _POINTS = 400  # of a distribution
 _LEVEL = 0.95
-_BANDS = 1.96, 1.358  # of a correlation and of a distribution of N numbers, times sqrt(N)
+_BAND = 1.358  # of a distribution of N numbers, times sqrt(N)
 _PORTS = ("innovation", "innovation_covariance", "nis")
 _WHITE = 0.01  # a smaller probability of the correlations is no white noise
 
@@ -39,25 +39,15 @@ class Agreement:
 
     Attributes
     ----------
-    correlation : (p, LAGS) ndarray
-        Autocorrelation of innovations over their standard deviations, by row.
-    count : (p,) ndarray
-        Numbers that it is of.
+    correlations : Correlations
+        Of the innovations.
     nis, degrees : (N,) ndarray
         Of the samples with rows, record after record.
     """
 
-    correlation: Array
-    count: Array
+    correlations: Correlations
     nis: Array
     degrees: Array
-
-    @property
-    def whiteness(self) -> Array:
-        """(p,): probability of larger correlations in white noise (Ljung & Box 1978)."""
-        N, lags = self.count[:, None], np.arange(1, LAGS + 1)
-        statistic = (N * (N + 2.0) * self.correlation**2 / np.maximum(N - lags, 1.0)).sum(axis=1)
-        return np.asarray(chdtrc(LAGS, statistic))
 
 
 def agreement(spec: Spec, records: Sequence[Records]) -> Agreement:
@@ -66,7 +56,7 @@ def agreement(spec: Spec, records: Sequence[Records]) -> Agreement:
     keep = [port for port in _PORTS if port in built.ports]
     soft, p = spec.faults.soft, len(built.layout.outputs)
     host = list(range(p)) if soft is None else list(soft.host)
-    sums, pairs = np.zeros((p, LAGS + 1)), np.zeros((p, LAGS + 1))
+    white = Correlations(np.zeros((p, LAGS + 1)), np.zeros(p))
     nis, degrees = [], []
     for some in records:
         params: dict[str, Any] = {**spec.defaults, **some.params}
@@ -77,22 +67,9 @@ def agreement(spec: Spec, records: Sequence[Records]) -> Agreement:
         nis.append(run["nis"][used])
         degrees.append(rows[used])
         if "innovation_covariance" in keep:
-            deviation = np.sqrt(np.diagonal(run["innovation_covariance"], axis1=2, axis2=3))
-            normal = run["innovation"] / np.where(deviation > 0.0, deviation, np.nan)
-            _add(normal, sums, pairs)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        covariance = sums / pairs
-        correlation = np.nan_to_num(covariance[:, 1:] / covariance[:, :1])
-    return Agreement(correlation, pairs[:, 0], np.concatenate(nis), np.concatenate(degrees))
-
-
-def _add(normal: Array, sums: Array, pairs: Array) -> None:
-    """Products of numbers (R, T, p) that lie 0, 1, ... samples apart; NaN counts for nothing."""
-    for lag in range(min(LAGS + 1, normal.shape[1])):
-        products = normal[:, lag:] * normal[:, : normal.shape[1] - lag]
-        there = np.isfinite(products)
-        sums[:, lag] += np.where(there, products, 0.0).sum(axis=(0, 1))
-        pairs[:, lag] += there.sum(axis=(0, 1))
+            found = correlations(run["innovation"], run["innovation_covariance"])
+            white = white.plus(found)
+    return Agreement(white, np.concatenate(nis), np.concatenate(degrees))
 
 
 @styled
@@ -156,7 +133,7 @@ def _draw_profile(axis: Axes, fit: Fit, name: str) -> None:
 
 def _limit(*found: Agreement) -> float:
     """Of the axes of correlations."""
-    largest = max(float(np.abs(each.correlation).max(initial=0.0)) for each in found)
+    largest = max(float(np.abs(each.correlations.value).max(initial=0.0)) for each in found)
     return float(np.clip(1.15 * largest, 0.1, 1.05))
 
 
@@ -164,20 +141,20 @@ def _draw_correlation(
     axis: Axes, found: Agreement, names: Sequence[str], when: str, limit: float
 ) -> None:
     """Autocorrelation of the normalised innovations of every row."""
-    lags = np.arange(1, LAGS + 1)
-    bound = _BANDS[0] / np.sqrt(max(1.0, float(found.count.min(initial=np.inf))))
+    lags, white = np.arange(1, LAGS + 1), found.correlations
+    bound = float(white.bound.max(initial=0.0))
     axis.axhspan(-bound, bound, color=GREY, alpha=BAND, lw=0)
     axis.axhline(0.0, color="black", lw=0.6)
     width = 0.7 / len(names)
-    for i, (name, colour) in enumerate(zip(names, cycle(SHADES), strict=False)):
-        probability = float(found.whiteness[i])
+    every = zip(names, white.value, white.probability.tolist(), cycle(SHADES), strict=False)
+    for i, (name, values, probability, colour) in enumerate(every):
         verdict = "white" if probability > _WHITE else "not white"
         at = lags + (i - 0.5 * (len(names) - 1)) * width
         label = f"{name}: {verdict} (p = {probability:.2g})"
-        axis.bar(at, found.correlation[i], width, color=colour, label=label)
+        axis.bar(at, values, width, color=colour, label=label)
     axis.set_ylim(-limit, 1.4 * limit)  # room for the legend
     axis.set_ylabel("autocorrelation")
-    axis.set_xlabel("lag (samples)")
+    axis.set_xlabel("lag (measurements of the row)")
     axis.set_xticks(range(0, LAGS + 1, 5))
     axis.set_title(f"innovations {when}", fontsize=9)
     axis.legend(loc="upper right", fontsize=7, ncols=1 + len(names) // 4)
@@ -211,7 +188,7 @@ def _draw_distribution(axis: Axes, before: Agreement, after: Agreement, *, guide
         levels = np.sort(1.0 - chdtrc(found.degrees, found.nis))
         at = np.unique(np.linspace(0, len(levels) - 1, _POINTS).astype(int))
         axis.plot(levels[at], (at + 0.5) / len(levels), color=colour, lw=1.2, label=label)
-    width = _BANDS[1] / np.sqrt(max(1, len(after.nis)))
+    width = _BAND / np.sqrt(max(1, len(after.nis)))
     line = np.array([0.0, 1.0])
     axis.fill_between(line, line - width, line + width, color=ORANGE, alpha=BAND, lw=0)
     axis.plot(line, line, color=ORANGE, lw=0.8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -14,13 +14,12 @@ from fkgen.problem import Signal, Spec
 from fkgen.study.campaigns.results import Campaign
 from fkgen.study.page.trials import Trials
 from fkgen.study.reports.plots import BAND, BLUE, GREY, LARGEST, ORANGE, label_of, panels, styled
+from fkgen.study.reports.whiteness import LAGS, Correlations
 from fkgen.trials.errors import error_signals
 
 Array = NDArray[np.floating]
 
-#: Correlations of innovations are looked at up to this lag.
-LAGS = 20
-_TAIL, _NORMAL = 0.025, 1.96
+_TAIL = 0.025
 _HEIGHT, _LOW = 1.7, 1.4
 
 
@@ -116,32 +115,12 @@ def _draw_nees(axis: Axes, trials: Trials, time: Array, label: str) -> None:
     axis.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98))
 
 
-def correlations(innovation: Array, variance: Array | None) -> tuple[list[Array], list[int]]:
-    """Correlation of each row's normalised innovations by lag, and how many there are of it.
-
-    A lag counts in measurements of the row, which need not come at every sample.
-    """
-    found, counts = [], []
-    for i in range(innovation.shape[1]):
-        values = innovation[:, i].astype(np.float64)
-        if variance is not None:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                values = values / np.sqrt(variance[:, i].astype(np.float64))
-        values = values[np.isfinite(values)]
-        power, lags = float(values @ values), min(LAGS, len(values) - 1)
-        each = [float(values[k:] @ values[:-k]) / power for k in range(1, lags + 1) if power > 0.0]
-        found.append(np.array(each))
-        counts.append(len(values))
-    return found, counts
-
-
 @styled
-def draw_whiteness(spec: Spec, found: Sequence[Array], counts: Sequence[int]) -> Figure:
+def draw_whiteness(spec: Spec, found: Correlations) -> Figure:
     """Correlations by lag, a panel for each row, with the band of white innovations."""
-    rows = [*zip(spec.model.outputs, found, counts, strict=True)][:LARGEST]
+    rows = [*zip(spec.model.outputs, found.value, found.bound.tolist(), strict=True)][:LARGEST]
 
-    def draw_one(axis: Axes, signal: Signal, values: Array, count: int) -> None:
-        bound = _NORMAL / np.sqrt(max(1, count))
+    def draw_one(axis: Axes, signal: Signal, values: Array, bound: float) -> None:
         axis.axhspan(-bound, bound, color=GREY, alpha=BAND, lw=0)
         axis.axhline(0.0, color="black", lw=0.6)
         axis.vlines(np.arange(1, len(values) + 1), 0.0, values, color=BLUE, lw=3.0)
@@ -151,5 +130,5 @@ def draw_whiteness(spec: Spec, found: Sequence[Array], counts: Sequence[int]) ->
         axis.set_xticks(range(0, LAGS + 1, 5))
         axis.set_ylabel(signal.name.replace("_", " "))
 
-    draws = [partial(draw_one, signal=s, values=v, count=n) for s, v, n in rows]
+    draws = [partial(draw_one, signal=s, values=v, bound=b) for s, v, b in rows]
     return panels([_HEIGHT] * len(draws), draws, "lag in measurements of the row")

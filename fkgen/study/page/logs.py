@@ -17,7 +17,7 @@ from fkgen.problem.functions.named import coordinates
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.campaigns.tally import SIGMAS
-from fkgen.study.page.figures import correlations, draw_errors, draw_whiteness
+from fkgen.study.page.figures import draw_errors, draw_whiteness
 from fkgen.study.page.svg import Picture
 from fkgen.study.page.trials import spans_of
 from fkgen.study.records.filtering import run_table, select
@@ -27,6 +27,7 @@ from fkgen.study.records.record import Record, Table, opened
 from fkgen.study.records.summary import Summary, several
 from fkgen.study.records.table import joined
 from fkgen.study.reports.plots import draw, gaps_of, times_of
+from fkgen.study.reports.whiteness import correlations
 from fkgen.symbolic.interface import VERDICTS
 from fkgen.trials.errors import error_signals, errors_of
 
@@ -34,7 +35,7 @@ Array = NDArray[np.floating]
 
 #: Of a list in the page.
 _SHOWN = 30
-_NORMAL, _DECIDED = 1.96, 0.5
+_DECIDED = 0.5
 #: Of the interval between samples: how far the times of the truth may be off.
 _APART = 0.5
 
@@ -145,20 +146,20 @@ def _errors(spec: Spec, log: Log, truth: Array) -> dict[str, Any]:
 
 
 def _whiteness(spec: Spec, run: Run) -> dict[str, Any]:
-    variance = None
+    covariance = None
     if "innovation_covariance" in run.ports:
-        variance = np.diagonal(run["innovation_covariance"], axis1=-2, axis2=-1)
-    found, counts = correlations(run["innovation"], variance)
+        covariance = run["innovation_covariance"][np.newaxis]
+    found = correlations(run["innovation"][np.newaxis], covariance)
     text = (
         "Correlation of each row's normalised innovations with later ones. Of white innovations"
         " 19 in 20 bars end in the grey band."
     )
-    figure = draw_whiteness(spec, found, counts)
+    figure = draw_whiteness(spec, found)
     rows = []
-    for signal, values, count in zip(spec.model.outputs, found, counts, strict=True):
-        beyond = int((np.abs(values) > _NORMAL / np.sqrt(max(1, count))).sum())
-        first = f"{values[0]:.3f}" if values.size else "-"
-        rows.append([signal.name, str(count), first, f"{beyond} of {len(values)}"])
+    every = zip(found.value, found.bound, found.count, found.probability, strict=True)
+    for signal, (values, bound, count, probability) in zip(spec.model.outputs, every, strict=True):
+        beyond = f"{int((np.abs(values) > bound).sum())} of {len(values)}"
+        rows.append([signal.name, f"{count:.0f}", f"{values[0]:.3f}", beyond, f"{probability:.2g}"])
     picture = Picture.of(figure, "record-whiteness", "Whiteness of innovations", text)
     return {"whiteness": picture, "white": rows}
 

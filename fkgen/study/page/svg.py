@@ -95,10 +95,9 @@ def _shortened(number: re.Match[str]) -> str:
 
 
 def _named(body: str, key: str) -> str:
-    """Names that nothing refers to go; the others are of this figure."""
-    used = set(_REFERRED.findall(body))
-    for kept in used:
-        body = re.sub(rf'(id="|#){kept}\b', rf"\g<1>{key}-{kept}", body)
+    """Names are numbers of this figure, whatever they were made of; unused ones go."""
+    for i, kept in enumerate(dict.fromkeys(_REFERRED.findall(body))):
+        body = re.sub(rf'(id="|#){kept}\b', rf"\g<1>{key}-{i}", body)
     return re.sub(rf' id="(?!{key}-)[^"]*"', "", body)
 
 
