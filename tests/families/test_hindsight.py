@@ -286,7 +286,7 @@ def test_a_curved_plant_is_smoothed_as_rauch_tung_and_striebel_do_and_says_so():
 def test_other_families_say_who_has_a_smoother():
     table = {"name": "hind_iekf", "model": CURVED, "filter": {"family": "iekf"}}
     other = fkgen.build(fkgen.Spec.from_dict(table))
-    with pytest.raises(fkgen.DataError, match="iekf; expected one of kf, ekf, mkf, genie"):
+    with pytest.raises(fkgen.DataError, match=r"iekf; expected one of kf, .*imm"):
         other.smooth(np.zeros((3, 2)), np.zeros((3, 1)))
 
 

@@ -56,7 +56,7 @@ class Linearised:
             S += B @ through @ variance @ (D @ through).T
         inputs = predicted, filtered, u, ca.vertcat(ca.SX(0, 1), *plant.parameters.values())
         found = {"A": A, "C": C, "Q": Q, "R": R, "S": S}
-        maps = {letter: _over_samples(inputs, each) for letter, each in found.items()}
+        maps = {letter: over_samples(inputs, each) for letter, each in found.items()}
         return lambda given: {letter: each(given) for letter, each in maps.items()}
 
     def moved(self) -> tuple[Callable[[Given], Array], Callable[[Given], Array]]:
@@ -69,10 +69,10 @@ class Linearised:
         inputs = x, errors, none, none
         state = shifted(x, errors, plant.attitudes)
         turned = turned_by(plant.attitudes, errors)
-        return _over_samples(inputs, state), _over_samples(inputs, turned)
+        return over_samples(inputs, state), over_samples(inputs, turned)
 
 
-def _over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], Array]:
+def over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], Array]:
     """What evaluates a matrix at all samples; one that never changes is evaluated once."""
     names = {each.name() for each in ca.symvar(value)}
     read = [any(each.name() in names for each in ca.symvar(given)) for given in inputs]
