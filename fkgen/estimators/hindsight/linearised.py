@@ -47,7 +47,8 @@ class Linearised:
             C, D = ca.substitute([seen.lifted.C, seen.lifted.D], *at)
             at = [plant.lifted.x, plant.lifted.u], [filtered, actuation.mean]
             A, B, G = ca.substitute([plant.lifted.A, plant.lifted.B, plant.lifted.G], *at)
-            Q += unpack(congruence(G, ca.diag(plant.lifted.variances)), plant.ne)
+            if plant.lifted.variances.numel():
+                Q += unpack(congruence(G, ca.diag(plant.lifted.variances)), plant.ne)
         R, S = ca.SX(seen.R), ca.SX(plant.S)
         if actuation.size:
             through, variance = actuation.through, actuation.covariance
