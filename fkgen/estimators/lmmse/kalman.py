@@ -101,9 +101,9 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     past = Hindsight.of(spec, plant)
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, past, with_gain=with_gain)
-    factored = has_factors(plant) and not past.anything
-    form = update_form(spec, plant, augmented=size > 0, factored=factored)
     beside = size + len(moved_by_noise(plant))
+    factored = has_factors(plant) and not (past.anything or (beside and spec.model.ranged))
+    form = update_form(spec, plant, augmented=size > 0, factored=factored)
     notes = (*gate_notes(spec), *past.notes(curved=plant.lifted is not None))
     order = order_of((plant,)) if form == "ud" else ()
     if form == "ud":
@@ -122,6 +122,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, (plant, past), symbols, (form, order), with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order, past=past),
         form=form,
+        factor_order=order,
         outcomes=(*gate_outcomes(spec), *past.delays.outcomes),
         notes=notes,
         repeats=None if size or plant.S.nnz() or past.replay else correlated_rows((plant.R,)),

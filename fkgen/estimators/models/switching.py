@@ -166,6 +166,7 @@ class Switching:
             update=phases[0],
             predict=phases[1],
             form=self.form,
+            factor_order=self.order,
             notes=notes,
             repeats=repeats,
         )
