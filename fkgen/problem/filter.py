@@ -66,6 +66,11 @@ class Traits:
     #: What it is told of the faults of every sample, as run-time parameters
     told: tuple[Parameter, ...] = ()
 
+    @property
+    def smooths(self) -> bool:
+        """Whether records can be smoothed, over modes by Kim's approximation."""
+        return self.hindsight or self.models in {"merged", "mixed"}
+
 
 @dataclass(frozen=True, slots=True)
 class Options:

@@ -21,7 +21,7 @@ from fkgen.runtime import cache, record
 from fkgen.runtime.batch import Batch, Lanes, of_records
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
-from fkgen.runtime.results import SMOOTHED_FROM, Run, Smoothed, Snapshot
+from fkgen.runtime.results import SMOOTHED_FROM, SMOOTHED_FROM_MODES, Run, Smoothed, Snapshot
 from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
 
@@ -171,7 +171,8 @@ class CompiledFilter:
         _refuse_late(
             spec, dict(zip((name for name, _ in self.layout.parameters), given, strict=True))
         )
-        found = self._room((len(measured),), (*SMOOTHED_FROM, *rejected))
+        own = SMOOTHED_FROM_MODES if spec.filter.traits.models == "mixed" else ()
+        found = self._room((len(measured),), (*SMOOTHED_FROM, *own, *rejected))
         begun = self._starts(start, given)
         prior = Snapshot(self.layout, bytes(begun[0]), 0)
         self._filter(begun, (measured, driven), given, found)
@@ -183,9 +184,15 @@ class CompiledFilter:
 
         text = (self.folder / cache.SPEC).read_text(encoding="utf-8")
         spec = Spec.from_dict(json.loads(text)["spec"])
-        if spec.filter.traits.hindsight:
-            return spec
-        able = ", ".join(name for name in NAMES if family(name).traits.hindsight)
+        if spec.filter.traits.smooths:
+            jump = spec.faults.jump
+            if spec.filter.traits.hindsight or not (
+                spec.filter.linearises or (jump and jump.unequal)
+            ):
+                return spec
+            given = f"modes with f and h, or of unequal size, of the family {spec.filter.family}"
+            raise DataError("smooth", given=given, expected="modes with matrices of one size")
+        able = ", ".join(name for name in NAMES if family(name).traits.smooths)
         gain = " with a stationary gain" * family(spec.filter.family).traits.hindsight
         given = f"a filter of the family {spec.filter.family}{gain}"
         raise DataError("smooth", given=given, expected=f"one of {able}, its gain not stationary")

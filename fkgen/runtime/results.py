@@ -18,6 +18,10 @@ from fkgen.symbolic.interface import UPDATED
 
 Array = NDArray[np.floating]
 
+#: Indices of the samples that were not held; inputs and parameters there.
+_Kept = NDArray[np.signedinteger]
+_Driven = tuple[NDArray[np.float64], NDArray[np.float64]]
+
 
 class Run:
     """What a filter said about a record: every kept port is an attribute of shape (T, ...).
@@ -83,11 +87,17 @@ class Run:
         return html_table(caption, ("port", "shape"), rows)
 
 
+#: Names of means and covariances end so.
+MOMENTS = "state", "covariance"
+
 #: What a run has to keep to be smoothed.
 SMOOTHED_FROM = (
     *("predicted_state", "predicted_covariance", "filtered_state", "filtered_covariance"),
     "innovation",
 )
+
+#: The same of a filter over modes, and of one that keeps one Gaussian of all of them.
+SMOOTHED_FROM_MODES = ("mode_filtered_state", "mode_filtered_covariance", "mode_probability")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -103,7 +113,8 @@ class Smoothed:
     status : (T,) ndarray of int32
         That of the filter: a refused sample counts as missing, but its state is estimated.
     approximate : bool
-        The plant is linearised, so that these are no exact means and covariances.
+        The plant is linearised, or mixtures over modes are merged (Kim's smoother), so that these
+        are no exact means and covariances.
     """
 
     state: NDArray[np.float64]
@@ -115,33 +126,20 @@ class Smoothed:
     def of(
         cls, spec: Spec, run: Run, prior: Snapshot, u: Array, parameters: Sequence[Array]
     ) -> Self:
-        """Smooth a run that kept `SMOOTHED_FROM`, from the instance that it began with."""
-        from fkgen.estimators.hindsight.backwards import Forwards  # noqa: PLC0415 - CasADi is slow
-
-        T, approximate = len(run.status), spec.filter.linearises
+        """Smooth a run that kept what it takes, from the instance that it began with."""
+        T, modes = len(run.status), spec.filter.traits.models != "one"
+        approximate = modes or spec.filter.linearises
         kept = np.flatnonzero(~run.held)
-        filtered = [np.array(run[f"filtered_{of}"], float) for of in ("state", "covariance")]
+        state, covariance = (np.array(run[f"filtered_{of}"], float) for of in MOMENTS)
         if not len(kept):
-            state, covariance = filtered
             return cls(
                 state=state, covariance=covariance, status=run.status, approximate=approximate
             )
-        innovation = np.asarray(run["innovation"][kept], float)
-        used = np.isfinite(innovation) & (run.status[kept] >= 0)[:, np.newaxis]
-        used &= ~run["rejected"][kept] if "rejected" in run.ports else True
         given = [np.broadcast_to(each.astype(float), (T,)) for each in parameters]
-        first, second = (
-            np.concatenate([start[np.newaxis], run[f"predicted_{of}"][kept[:-1]]]).astype(float)
-            for of, start in zip(("state", "covariance"), prior.latest, strict=True)
-        )
-        state, covariance = Forwards(
-            predicted=(first, second),
-            filtered=(filtered[0][kept], filtered[1][kept]),
-            innovation=np.where(used, innovation, 0.0),
-            used=used,
-            u=np.asarray(u, float)[kept],
-            parameters=np.array(given).reshape(len(given), T).T[kept],
-        ).backwards(spec)
+        values = np.array(given, float).reshape(len(given), T)
+        driven = np.asarray(u, np.float64)[kept], values.T[kept]
+        forwards = (_by_mode if modes else _forwards)(run, kept, prior, driven)
+        state, covariance = forwards.backwards(spec)
         last = np.maximum(np.searchsorted(kept, np.arange(T), side="right") - 1, 0)
         return cls(
             state=state[last],
@@ -153,6 +151,45 @@ class Smoothed:
     def __repr__(self) -> str:
         T, n = self.state.shape
         return f"<Smoothed: {T} samples of {n} states{', approximate' * self.approximate}>"
+
+
+def _forwards(run: Run, kept: _Kept, prior: Snapshot, driven: _Driven) -> Any:
+    """What a filter with one mean and one covariance has found at the samples kept."""
+    from fkgen.estimators.hindsight.backwards import Forwards  # noqa: PLC0415 - CasADi is slow
+
+    innovation = np.asarray(run["innovation"][kept], float)
+    used = np.isfinite(innovation) & (run.status[kept] >= 0)[:, np.newaxis]
+    used &= ~run["rejected"][kept] if "rejected" in run.ports else True
+    predicted = [
+        np.concatenate([start[np.newaxis], run[f"predicted_{of}"][kept[:-1]]]).astype(float)
+        for of, start in zip(MOMENTS, prior.latest, strict=True)
+    ]
+    filtered = [np.array(run[f"filtered_{of}"][kept], float) for of in MOMENTS]
+    return Forwards(
+        predicted=(predicted[0], predicted[1]),
+        filtered=(filtered[0], filtered[1]),
+        innovation=np.where(used, innovation, 0.0),
+        used=used,
+        u=driven[0],
+        parameters=driven[1],
+    )
+
+
+def _by_mode(run: Run, kept: _Kept, _: Snapshot, driven: _Driven) -> Any:
+    """What a filter has found under each mode, or of all of them in one Gaussian."""
+    from fkgen.estimators.hindsight.switched import ForwardsByMode  # noqa: PLC0415 - CasADi is slow
+
+    found = [np.array(run[f"filtered_{of}"][kept], float)[:, None] for of in MOMENTS]
+    found.append(np.ones((len(kept), 1)))
+    if SMOOTHED_FROM_MODES[0] in run.ports:
+        found = [np.array(run[name][kept], float) for name in SMOOTHED_FROM_MODES]
+    return ForwardsByMode(
+        state=found[0],
+        covariance=found[1],
+        probability=found[2],
+        u=driven[0],
+        parameters=driven[1],
+    )
 
 
 class Snapshot:

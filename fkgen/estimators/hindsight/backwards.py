@@ -63,7 +63,7 @@ class Forwards:
 
     def _turned(self, piece: slice, own: Mapping[str, Array], turned: Any) -> Array:
         """By what corrections turn the axes of errors."""
-        inverse = _inverse(own["C"], self.predicted[1][piece], own["R"], self.used[piece])
+        inverse = inverse_of_rows(own["C"], self.predicted[1][piece], own["R"], self.used[piece])
         nu = self.innovation[piece][..., np.newaxis]
         errors = self.predicted[1][piece] @ _T(own["C"]) @ inverse @ nu
         none = np.zeros((0, len(errors)))
@@ -76,7 +76,7 @@ class Forwards:
         """By what samples lie off their filtered states, with covariances; r, M, N at the first."""
         A, C, Q, R, S = (own[letter] for letter in "ACQRS")
         P, filtered = self.predicted[1][piece], self.filtered[1][piece]
-        inverse = _inverse(C, P, R, self.used[piece])
+        inverse = inverse_of_rows(C, P, R, self.used[piece])
         weighted = _T(C) @ inverse  # C' S^-1
         gain = (A @ P @ _T(C) + S) @ inverse
         F = A - gain @ C
@@ -102,7 +102,7 @@ def _T(matrices: Array) -> Array:
     return matrices.swapaxes(-1, -2)
 
 
-def _inverse(C: Array, P: Array, R: Array, used: NDArray[np.bool_]) -> Array:
+def inverse_of_rows(C: Array, P: Array, R: Array, used: NDArray[np.bool_]) -> Array:
     """(C P C' + R)^-1 over the rows used, zero elsewhere; of a singular one the pseudoinverse."""
     S = C @ P @ _T(C) + R
     scale = np.sqrt(np.maximum(np.diagonal(S, axis1=-2, axis2=-1), 0.0))

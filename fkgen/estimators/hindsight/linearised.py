@@ -47,7 +47,8 @@ class Linearised:
             C, D = ca.substitute([seen.lifted.C, seen.lifted.D], *at)
             at = [plant.lifted.x, plant.lifted.u], [filtered, actuation.mean]
             A, B, G = ca.substitute([plant.lifted.A, plant.lifted.B, plant.lifted.G], *at)
-            Q += unpack(congruence(G, ca.diag(plant.lifted.variances)), plant.ne)
+            if plant.lifted.variances.numel():
+                Q += unpack(congruence(G, ca.diag(plant.lifted.variances)), plant.ne)
         R, S = ca.SX(seen.R), ca.SX(plant.S)
         if actuation.size:
             through, variance = actuation.through, actuation.covariance
@@ -56,7 +57,7 @@ class Linearised:
             S += B @ through @ variance @ (D @ through).T
         inputs = predicted, filtered, u, ca.vertcat(ca.SX(0, 1), *plant.parameters.values())
         found = {"A": A, "C": C, "Q": Q, "R": R, "S": S}
-        maps = {letter: _over_samples(inputs, each) for letter, each in found.items()}
+        maps = {letter: over_samples(inputs, each) for letter, each in found.items()}
         return lambda given: {letter: each(given) for letter, each in maps.items()}
 
     def moved(self) -> tuple[Callable[[Given], Array], Callable[[Given], Array]]:
@@ -69,10 +70,10 @@ class Linearised:
         inputs = x, errors, none, none
         state = shifted(x, errors, plant.attitudes)
         turned = turned_by(plant.attitudes, errors)
-        return _over_samples(inputs, state), _over_samples(inputs, turned)
+        return over_samples(inputs, state), over_samples(inputs, turned)
 
 
-def _over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], Array]:
+def over_samples(inputs: tuple[ca.SX, ...], value: ca.SX) -> Callable[[Given], Array]:
     """What evaluates a matrix at all samples; one that never changes is evaluated once."""
     names = {each.name() for each in ca.symvar(value)}
     read = [any(each.name() in names for each in ca.symvar(given)) for given in inputs]

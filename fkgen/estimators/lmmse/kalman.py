@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -55,22 +55,61 @@ from fkgen.symbolic.ports import (
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
+@dataclass(frozen=True, slots=True)
+class Hindsight:
+    """What a filter remembers of past samples, for rows that come late and for a fixed lag."""
+
+    replay: Replay | None
+    delays: Delays
+    lagged: Lagged
+
+    @classmethod
+    def of(cls, spec: Spec, plant: Plant) -> Hindsight:
+        """What a spec asks for; the lag with what y tells of beside x."""
+        replay = replay_of(spec, plant)
+        beside = len(moved_by_noise(plant)) if plant.S.nnz() else 0
+        if not beside and plant.D.nnz():
+            beside = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size
+        delays = Delays.of(spec, replayed=replay is not None)
+        return cls(replay, delays, Lagged.of(spec, beside))
+
+    @property
+    def anything(self) -> bool:
+        """Whether there is anything."""
+        return bool(self.delays.rows or self.lagged.lag)
+
+    def notes(self, *, curved: bool) -> tuple[str, ...]:
+        """What the header says."""
+        notes = (*self.delays.notes, *(self.replay.notes if self.replay else ()))
+        past = {"late rows": self.delays.rows, "lagged estimates": self.lagged.lag}
+        marks = (
+            f"{e} are approximate: f and h are linearised"
+            for e, there in past.items()
+            if curved and there
+        )
+        return (*notes, *self.lagged.notes, *marks)
+
+    def ports(self, p: int) -> tuple[Port, ...]:
+        """What is kept, of p rows."""
+        replayed = self.replay.ports() if self.replay else ()
+        return (*self.delays.ports(p), *replayed, *self.lagged.ports())
+
+
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
-    replay, delays, lagged = replay_of(spec, plant), _delays(spec, plant), _lagged(spec, plant)
+    past = Hindsight.of(spec, plant)
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
-    ports = _ports(spec, plant, size, with_gain=with_gain)
-    beside, notes = size + len(moved_by_noise(plant)), (*gate_notes(spec), *delays.notes)
-    other = delays.rows or lagged.lag or (beside and spec.model.ranged)
-    factored = has_factors(plant) and not other
+    ports = _ports(spec, plant, size, past, with_gain=with_gain)
+    beside = size + len(moved_by_noise(plant))
+    factored = has_factors(plant) and not (past.anything or (beside and spec.model.ranged))
     form = update_form(spec, plant, augmented=size > 0, factored=factored)
-    notes += (*(() if replay is None else replay.notes), *lagged.notes, *_marks(spec, plant))
+    notes = (*gate_notes(spec), *past.notes(curved=plant.lifted is not None))
     order = order_of((plant,)) if form == "ud" else ()
     if form == "ud":
         ports = (*factor_ports(plant.ne, beside), *ports)
     symbols = symbols_of(spec, plant, ports)
-    start = lagged.start(spec, symbols)
+    start = past.lagged.start(spec, symbols)
     if form == "ud":
         begun = {"predicted_factors": 1} | ({} if beside else {"filtered_factors": 1})
         start = started(spec, symbols, begun, order)
@@ -80,21 +119,22 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         source=source,
         ports=ports,
         start=start,
-        update=_update(spec, plant, symbols, (form, order), with_gain=with_gain),
-        predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order),
+        update=_update(spec, (plant, past), symbols, (form, order), with_gain=with_gain),
+        predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order, past=past),
         form=form,
         factor_order=order,
-        outcomes=(*gate_outcomes(spec), *delays.outcomes),
+        outcomes=(*gate_outcomes(spec), *past.delays.outcomes),
         notes=notes,
-        repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),
+        repeats=None if size or plant.S.nnz() or past.replay else correlated_rows((plant.R,)),
     )
 
 
-def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
+def _ports(
+    spec: Spec, plant: Plant, r: int, past: Hindsight, *, with_gain: bool
+) -> tuple[Port, ...]:
     """What every filter has, of the r random inputs that y depends on, and gains."""
     n, p, missing = plant.ne, plant.ny, "columns of missing rows are 0"
-    delays, replay = _delays(spec, plant), replay_of(spec, plant)
-    whole = n + delays.size  # with what is remembered of past samples
+    whole = n + past.delays.size  # with what is remembered of past samples
     deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
     covariance = "covariance of gamma[k] given y[0..k]"
     cross = "covariance of gamma[k] with the state given y[0..k]"
@@ -114,19 +154,10 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
         carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
         carried("noise_cross_covariance", (r, whole), "covariance of the same with the state"),
     )
-    shared = (*noises, *innovation_ports(spec, given=delays.given), *delays.ports(p))
-    shared += (*(() if replay is None else replay.ports()), *_lagged(spec, plant).ports())
+    shared = (*noises, *innovation_ports(spec, given=past.delays.given), *past.ports(p))
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
-
-
-def _lagged(spec: Spec, plant: Plant) -> Lagged:
-    """Past samples, with what y tells of beside x."""
-    if plant.S.nnz():
-        return Lagged.of(spec, len(moved_by_noise(plant)))
-    none = not plant.D.nnz()
-    return Lagged.of(spec, 0 if none else actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size)
 
 
 def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
@@ -153,21 +184,6 @@ def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults
     for value, other, room in ((gamma, ca.SX(0), ca.SX(0)), (delta, factor, slack)):
         zero = (value - 1) * (value - other)
         builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
-
-
-def _marks(spec: Spec, plant: Plant) -> tuple[str, ...]:
-    """What the header says about estimates of past samples of a plant that is not linear."""
-    if plant.lifted is None:
-        return ()
-    past = {"late rows": _delays(spec, plant).rows, "lagged estimates": _lagged(spec, plant).lag}
-    return tuple(
-        f"{e} are approximate: f and h are linearised" for e, there in past.items() if there
-    )
-
-
-def _delays(spec: Spec, plant: Plant) -> Delays:
-    """Rows that may be late, and what is done about them."""
-    return Delays.of(spec, replayed=replay_of(spec, plant) is not None)
 
 
 def replay_of(spec: Spec, plant: Plant) -> Replay | None:
@@ -213,15 +229,15 @@ def _measured(
 
 def _update(
     spec: Spec,
-    plant: Plant,
+    of: tuple[Plant, Hindsight],
     symbols: dict[str, ca.SX],
     how: tuple[Form, tuple[int, ...]],
     *,
     with_gain: bool,
 ) -> Phase:
     """Correct the prediction; ``how`` is the form of the update, and the order of its factors."""
-    builder = PhaseBuilder(symbols)
-    delays, replay, passage = _delays(spec, plant), replay_of(spec, plant), None
+    builder, (plant, past) = PhaseBuilder(symbols), of
+    delays, replay, passage = past.delays, past.replay, None
     prior: Prior = delays.joint(symbols, PREDICTED)
     if how[1]:
         prior = prior[0], Factors.of(symbols["predicted_factors"], how[1], plant.scalar)
@@ -246,7 +262,7 @@ def _update(
     demand_finite(builder, posterior.state)
     assign = _filtered(plant, delays, symbols, (found, posterior))
     before = symbols["predicted_covariance"]
-    _lagged(spec, plant).corrected(builder, (plant, actuation), found, before)
+    past.lagged.corrected(builder, (plant, actuation), found, before)
     if passage is not None:
         assign |= passage.results(found, symbols)
         kept = tuple(passage.counted(row) for row in range(plant.ny))
@@ -299,12 +315,11 @@ def prediction(
     *,
     with_gain: bool,
     order: tuple[int, ...] = (),
+    past: Hindsight | None = None,
 ) -> Phase:
-    """Propagate what is known of x, and of inputs and noise, to the next sample.
-
-    ``order`` is that of factors, if there are any.
-    """
-    builder, delays = PhaseBuilder(symbols), _delays(spec, plant)
+    """Propagate what is known, in factors of this order if there are any, to the next sample."""
+    past = Hindsight.of(spec, plant) if past is None else past
+    builder, delays = PhaseBuilder(symbols), past.delays
     _demand_rates(builder, spec, plant)
     letters = "ABQc"
     if delays.size:
@@ -338,7 +353,7 @@ def prediction(
         if r := posterior.deviation.numel():
             gain += through[:n, whole:] @ from_rows(symbols["actuation_gain"], r)
         assign["gain"] = by_rows(gain)
-    _lagged(spec, plant).moved(builder, posterior, through)
+    past.lagged.moved(builder, posterior, through)
     with builder.titled("prediction of the next sample"):
         builder.assign(assign, [finite(state, covariance)])
     return builder.phase()

@@ -250,6 +250,13 @@ def run(
     return told
 
 
+#: Why smoothed states are not exact, by whether the plant is linearised.
+_APPROXIMATE = {
+    True: "approximate: the plant is linearised",
+    False: "approximate: mixtures over modes are merged (Kim's smoother)",
+}
+
+
 def smooth(
     spec: Spec, reading: Reading, *, output: Path | None, plot: Path | None, force: bool
 ) -> Told:
@@ -278,7 +285,7 @@ def smooth(
         file.write(lines_of(whole, batch_of(whole, columns, smoothed.status)))
         if plot is not None:
             _draw_smoothed(spec, whole, smoothed, plot, force=force)
-    notes = [*record.notes, *(["approximate: the plant is linearised"] * smoothed.approximate)]
+    notes = [*record.notes, *([_APPROXIMATE[spec.filter.linearises]] * smoothed.approximate)]
     samples = f"written, {several(summary.samples, 'sample')}"
     notes += [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told(notes, list(record.warnings), [], summary.text(whole.file))
