@@ -1,4 +1,4 @@
-"""proofs/ says what SymPy judges, Coq refuses what is not so, and rounding stays within Gappa's bound."""
+"""proofs/ says what SymPy judges, Coq refuses what is not so, and rounding stays within bounds."""
 
 from __future__ import annotations
 
