@@ -76,16 +76,23 @@ def _is_estimate(port: Port) -> bool:
     return port.unit in {"x", "xx"} and (bool(port.prior) or port.role is Role.OUTPUT)
 
 
+def _factors_of(covariance: str) -> str:
+    """Where the factors of a covariance are, if it has any."""
+    return covariance.replace("covariance", "factors")
+
+
 class _Confinement:
     """One phase: what it wrote to ports goes to locals, and from there to ports, if it may."""
 
     def __init__(self, recursion: Recursion, phase: Phase, estimates: Mapping[str, Port]) -> None:
         self.model, self.phase, self.estimates = recursion.spec.model, phase, estimates
+        self.order = recursion.factor_order
         self.local: dict[str, str] = {}  # of ports that were written so far
 
     def confined(self, rows: Sequence[int]) -> Phase:
         """The phase; of an update with the ``rows`` of y that have a range."""
         wanted = {*self.estimates, *([_REJECTED] if rows else [])}
+        wanted |= {_factors_of(name) for name in self.estimates} if self.order else set()
         blocks = tuple(self._renamed(block, wanted) for block in self.phase.blocks)
         symbols = dict(self.phase.symbols)
         symbols |= {self._read(place): symbol for place, symbol in symbols.items()}
@@ -138,9 +145,12 @@ class _Confinement:
         local = self.local[port.name]
         raw, size = builder.symbol(local), port.shape[-1]
         if port.symmetric:
+            factors = self.local.get(_factors_of(port.name), "")
             for begin in range(0, port.size, len(triangle(size))):
-                self._scale(builder, local, begin)
-            self._copy(builder, port)
+                self._scale(builder, local, begin, factors)
+            self._copy(builder, port.name, port.size)
+            if factors:
+                self._copy(builder, _factors_of(port.name), port.size)
             return
         values = ca.vertsplit(raw)
         for begin in range(0, port.size, size):
@@ -149,8 +159,8 @@ class _Confinement:
                 values[at] = ca.fmin(ca.fmax(values[at], each.low), each.high)
         builder.assign({port.name: column(values)})
 
-    def _scale(self, builder: PhaseBuilder, local: str, begin: int) -> None:
-        """Rows and columns of variances that are too large."""
+    def _scale(self, builder: PhaseBuilder, local: str, begin: int, factors: str) -> None:
+        """Rows and columns of variances that are too large, and of their factors if there are."""
         n = self.model.ne
         for each in self.model.ranged:
             row, most = each.error, (each.high - each.low) ** 2
@@ -159,30 +169,40 @@ class _Confinement:
             scale = builder.local(f"scale_{local}_{own}", 1, initial=1.0)
             with builder.if_positive(excess):
                 builder.assign({scale.name(): ca.sqrt(most / builder.at(local, own))})
-            if len(triangle(n)) <= LOOPED:
-                places = [begin + packed(max(row, j), min(row, j)) for j in range(n) if j != row]
-                with builder.if_positive(excess):
-                    builder.assign({At(local, k): builder.at(local, k) * scale for k in places})
-            else:
-                with builder.if_positive(excess), builder.loop("j", 0, row) as j:
-                    self._times(builder, At(local, begin + packed(row, j)), scale)
-                with builder.if_positive(excess), builder.loop("j", row + 1, n) as j:
-                    self._times(builder, At(local, begin + packed(j, row)), scale)
-            with builder.if_positive(excess):
+                if factors:
+                    self._scale_factors(builder, At(factors, begin), row, scale)
+                if len(triangle(n)) <= LOOPED:
+                    for other in (i for i in range(n) if i != row):
+                        place = At(local, begin + packed(max(row, other), min(row, other)))
+                        self._times(builder, place, scale)
+                else:
+                    with builder.loop("j", 0, row) as j:
+                        self._times(builder, At(local, begin + packed(row, j)), scale)
+                    with builder.loop("j", row + 1, n) as j:
+                        self._times(builder, At(local, begin + packed(j, row)), scale)
                 builder.assign({At(local, own): ca.SX(most)})
+
+    def _scale_factors(self, builder: PhaseBuilder, first: At, row: int, scale: ca.SX) -> None:
+        """U and D of the covariance that has one row and its column scaled: S U S^-1 and S D S."""
+        at, n = self.order.index(row), self.model.ne
+        shares = {packed(j, at): scale for j in range(at + 1, n)}
+        shares |= {packed(at, i): 1 / scale for i in range(at)}
+        shares[packed(at, at)] = scale * scale
+        places = {replace(first, index=first.index + k): share for k, share in shares.items()}
+        builder.assign({place: builder.read(place) * share for place, share in places.items()})
 
     @staticmethod
     def _times(builder: PhaseBuilder, place: At, scale: ca.SX) -> None:
         builder.assign({place: builder.read(place) * scale})
 
-    def _copy(self, builder: PhaseBuilder, port: Port) -> None:
-        """A covariance to its port."""
-        local = self.local[port.name]
-        if port.size <= LOOPED:
-            builder.assign({port.name: builder.symbol(local)})
+    def _copy(self, builder: PhaseBuilder, name: str, size: int) -> None:
+        """A covariance to its port, or factors of one."""
+        local = self.local[name]
+        if size <= LOOPED:
+            builder.assign({name: builder.symbol(local)})
             return
-        with builder.loop("i", 0, port.size) as i:
-            builder.assign({At(port.name, i): builder.at(local, i)})
+        with builder.loop("i", 0, size) as i:
+            builder.assign({At(name, i): builder.at(local, i)})
 
     def _reject(self, builder: PhaseBuilder, rows: Sequence[int]) -> None:
         """Rows outside of their range beside those that a gate has left out."""

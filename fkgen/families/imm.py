@@ -87,7 +87,7 @@ def without_channel(table: Table, truth: Spec) -> Table:
 FAMILY = Family(
     name="imm",
     title="modes of the sensor or of the plant that last: interacting multiple models",
-    build=built_by("models.switching:interacting_models"),
+    build=built_by("models.interacting:interacting_models"),
     proof=proved_by(
         "sensor",
         "IMM",

@@ -35,7 +35,7 @@ class OneStepOptions(Options):
 FAMILY = Family(
     name="one_step",
     title="sensors that lose their signal or gain noise: one-step optimal filter",
-    build=built_by("models.switching:one_step_optimal"),
+    build=built_by("models.one_step:one_step_optimal"),
     proof=proved_by(
         "sensor",
         "ONE_STEP",

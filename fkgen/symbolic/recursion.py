@@ -217,6 +217,7 @@ class Recursion:
     closing: Phase | None = None
     #: Of the covariance update, "short", "joseph" or "ud"; None where nothing is updated
     form: Literal["short", "joseph", "ud"] | None = None
+    factor_order: tuple[int, ...] = ()  # Of states in the rows of factors, in the form "ud"
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     ranged: bool = False  # Whether it observes the ranges that the spec states of signals
     #: Statuses in place of OK, the first that applies

@@ -123,15 +123,8 @@ static float motor_sqrt(float x)
 /* ---- constants ---- */
 
 /* Products of entries of the model that are folded into one number, up to its sign:
- *   4.0e-08f = A[0][1]^2
  *   8.836e-05f = A[1][0]^2
- *   0.00018096f = -A[0][1] A[1][1]
- *   0.00039208f = -2 A[0][0] A[0][1]
  *   0.00921388f = A[0][0] A[1][0]
- *   0.01701024f = 2 A[1][0] A[1][1]
- *   0.81866306f = A[1][1]^2
- *   0.8868831f = (A[0][0] A[1][1] + A[0][1] A[1][0])
- *   0.96079206f = A[0][0]^2
  */
 
 /* log(2 pi), of a Gaussian density */
@@ -252,7 +245,7 @@ static int motor_present_rows(const float *y, uint32_t valid, uint32_t *present,
 
 /* within the ranges of the spec. */
 MOTOR_INLINE void motor_within_the_ranges(const float *raw_state, float *state,
-    float *raw_covariance, float *covariance)
+    float *raw_covariance, float *raw_factors, float *covariance, float *factors)
 {
     float scale_raw_covariance_0 = 1.0f;
     float scale_raw_covariance_2 = 1.0f;
@@ -266,35 +259,26 @@ MOTOR_INLINE void motor_within_the_ranges(const float *raw_state, float *state,
     if (t2 > 0.0f)
     {
         scale_raw_covariance_0 = motor_sqrt(10000.0f / raw_covariance[0]);
-    }
-    const float t3 = raw_covariance[0] - 10000.0f;
-    if (t3 > 0.0f)
-    {
+        raw_factors[1] = raw_factors[1] * scale_raw_covariance_0;
+        raw_factors[0] = raw_factors[0] * (scale_raw_covariance_0 * scale_raw_covariance_0);
         raw_covariance[1] = raw_covariance[1] * scale_raw_covariance_0;
-    }
-    const float t4 = raw_covariance[0] - 10000.0f;
-    if (t4 > 0.0f)
-    {
         raw_covariance[0] = 10000.0f;
     }
-    const float t5 = raw_covariance[2] - 10000.0f;
-    if (t5 > 0.0f)
+    const float t3 = raw_covariance[2] - 10000.0f;
+    if (t3 > 0.0f)
     {
         scale_raw_covariance_2 = motor_sqrt(10000.0f / raw_covariance[2]);
-    }
-    const float t6 = raw_covariance[2] - 10000.0f;
-    if (t6 > 0.0f)
-    {
+        raw_factors[1] = raw_factors[1] / scale_raw_covariance_2;
+        raw_factors[2] = raw_factors[2] * (scale_raw_covariance_2 * scale_raw_covariance_2);
         raw_covariance[1] = raw_covariance[1] * scale_raw_covariance_2;
-    }
-    const float t7 = raw_covariance[2] - 10000.0f;
-    if (t7 > 0.0f)
-    {
         raw_covariance[2] = 10000.0f;
     }
     covariance[0] = raw_covariance[0];
     covariance[1] = raw_covariance[1];
     covariance[2] = raw_covariance[2];
+    factors[0] = raw_factors[0];
+    factors[1] = raw_factors[1];
+    factors[2] = raw_factors[2];
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -304,6 +288,7 @@ MOTOR_INLINE motor_status_t motor_correct(const motor_t *self, const float *y, u
     float innovation_0 = 0.0f;
     float mean[2];
     float covariance[3];
+    float sums_0[2];
     float pivot_0;
     float inverse_0 = 0.0f;
     float quadratic = 0.0f;
@@ -312,7 +297,8 @@ MOTOR_INLINE motor_status_t motor_correct(const motor_t *self, const float *y, u
     float update_gain[2] = { 0.0f };
     float raw_filtered_state[2];
     float raw_filtered_covariance[3];
-    if (!((self->predicted_covariance[0] >= 0.0f) && (self->predicted_covariance[2] >= 0.0f)))
+    float raw_filtered_factors[3];
+    if (!((self->predicted_factors[0] >= 0.0f) && (self->predicted_factors[2] >= 0.0f)))
     {
         return MOTOR_NOT_POSITIVE_DEFINITE;
     }
@@ -324,35 +310,29 @@ MOTOR_INLINE motor_status_t motor_correct(const motor_t *self, const float *y, u
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
-    covariance[0] = self->predicted_covariance[0];
-    covariance[1] = self->predicted_covariance[1];
-    covariance[2] = self->predicted_covariance[2];
+    covariance[0] = self->predicted_factors[0];
+    covariance[1] = self->predicted_factors[1];
+    covariance[2] = self->predicted_factors[2];
 
     /* row 0 of y, tacho */
-    pivot_0 = self->predicted_covariance[2] + 0.0004f;
+    sums_0[0] = 0.0004f + self->predicted_factors[2];
+    sums_0[1] = self->predicted_factors[1] * self->predicted_factors[2];
+    pivot_0 = sums_0[0];
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0f)) { return MOTOR_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0f / pivot_0;
         const float t0 = innovation_0 * inverse_0;
         quadratic = innovation_0 * t0;
-        mean[0] = self->predicted_state[0] + (self->predicted_covariance[1] * t0);
-        mean[1] = self->predicted_state[1] + (self->predicted_covariance[2] * t0);
-        const float t1 = self->predicted_covariance[1] * inverse_0;
-        const float t2 = self->predicted_covariance[0] - (t1 * self->predicted_covariance[1]);
-        const float t3 = 0.0004f * t1;
-        const float t4 = self->predicted_covariance[2] * inverse_0;
-        const float t5 = self->predicted_covariance[1] - (t4 * self->predicted_covariance[1]);
-        covariance[0] = t2 + ((t3 - t5) * t1);
-        const float t6 = 0.0004f * t4;
-        const float t7 = self->predicted_covariance[2] - (t4 * self->predicted_covariance[2]);
-        const float t8 = t6 - t7;
-        covariance[1] = t5 + (t8 * t1);
-        covariance[2] = t7 + (t8 * t4);
+        mean[0] = self->predicted_state[0] + (sums_0[1] * t0);
+        mean[1] = self->predicted_state[1] + (self->predicted_factors[2] * t0);
+        covariance[2] = self->predicted_factors[2] * (0.0004f / sums_0[0]);
+        update_gain[0] = sums_0[1] * inverse_0;
+        update_gain[1] = self->predicted_factors[2] * inverse_0;
         log_constant = MOTOR_LOG_2_PI;
         determinant_0 = pivot_0;
-        update_gain[0] = t1;
-        update_gain[1] = t4;
+        covariance[0] = self->predicted_factors[0];
+        covariance[1] = self->predicted_factors[1];
     }
     if (!motor_finite(motor_defect(mean[0]) + motor_defect(mean[1])))
     {
@@ -360,28 +340,31 @@ MOTOR_INLINE motor_status_t motor_correct(const motor_t *self, const float *y, u
     }
 
     /* results of the update */
-    const float t9 = -0.5f * (quadratic + (log_constant + motor_log(determinant_0)));
-    if (!motor_finite(((motor_defect(covariance[0]) + motor_defect(covariance[2])) +
-        motor_defect(pivot_0)) + ((motor_defect(t9) + motor_defect(update_gain[0])) +
-        motor_defect(update_gain[1]))))
+    const float t1 = covariance[0] + (covariance[1] * (covariance[1] * covariance[2]));
+    raw_filtered_covariance[1] = covariance[1] * covariance[2];
+    const float t2 = -0.5f * (quadratic + (log_constant + motor_log(determinant_0)));
+    if (!motor_finite(((motor_defect(t1) + motor_defect(pivot_0)) + motor_defect(t2)) +
+        (motor_defect(update_gain[0]) + motor_defect(update_gain[1]))))
     {
         return MOTOR_RESULT_NOT_FINITE;
     }
     raw_filtered_state[0] = mean[0];
     raw_filtered_state[1] = mean[1];
-    raw_filtered_covariance[0] = covariance[0];
-    raw_filtered_covariance[1] = covariance[1];
+    raw_filtered_covariance[0] = t1;
     raw_filtered_covariance[2] = covariance[2];
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
-    next->log_likelihood = t9;
+    next->log_likelihood = t2;
+    raw_filtered_factors[0] = covariance[0];
+    raw_filtered_factors[1] = covariance[1];
+    raw_filtered_factors[2] = covariance[2];
     next->filtered_gain[0] = update_gain[0];
     next->filtered_gain[1] = update_gain[1];
 
     /* within the ranges of the spec */
     motor_within_the_ranges(raw_filtered_state, next->filtered_state, raw_filtered_covariance,
-        next->filtered_covariance);
+        raw_filtered_factors, next->filtered_covariance, next->filtered_factors);
     next->rejected_rows[0] = outside[0];
     return MOTOR_OK;
 }
@@ -389,44 +372,83 @@ MOTOR_INLINE motor_status_t motor_correct(const motor_t *self, const float *y, u
 /* Move to k + 1: reads *self, writes the results to *next. */
 MOTOR_INLINE motor_status_t motor_propagate(const motor_t *self, const float *u, motor_t *next)
 {
+    float next_factors[3];
+    float raw_predicted_factors[3];
     float raw_predicted_state[2];
     float raw_predicted_covariance[3];
-    const float t0 = (0.9802f * self->filtered_state[0]) + (-0.0002f * self->filtered_state[1]);
-    const float t1 = t0 + (0.01386f * u[0]);
-    const float t2 = (0.0094f * self->filtered_state[0]) + (0.9048f * self->filtered_state[1]);
-    const float t3 = t2 + (7.0e-05f * u[0]);
-    const float t4 = 0.96079206f * self->filtered_covariance[0];
-    const float t5 = t4 + (-0.00039208f * self->filtered_covariance[1]);
-    const float t6 = t5 + (4.0e-08f * self->filtered_covariance[2]) + 0.0001f;
-    const float t7 = 0.004158f * u[0];
-    const float t8 = 0.0198f * u[0];
-    const float t9 = t6 + (t7 * t8);
-    const float t10 = 0.00921388f * self->filtered_covariance[0];
-    const float t11 = t10 + (0.8868831f * self->filtered_covariance[1]);
-    const float t12 = t11 + (-0.00018096f * self->filtered_covariance[2]);
-    const float t13 = 2.1e-05f * u[0];
-    raw_predicted_covariance[1] = t12 + (t13 * t8);
-    const float t14 = 8.836e-05f * self->filtered_covariance[0];
-    const float t15 = t14 + (0.01701024f * self->filtered_covariance[1]);
-    const float t16 = t15 + (0.81866306f * self->filtered_covariance[2]) + 0.0001f;
-    const float t17 = t16 + (t13 * (0.0001f * u[0]));
-    const float t18 = (0.9802f * self->filtered_gain[0]) + (-0.0002f * self->filtered_gain[1]);
-    const float t19 = (0.0094f * self->filtered_gain[0]) + (0.9048f * self->filtered_gain[1]);
-    if (!motor_finite(((motor_defect(t1) + motor_defect(t3)) + motor_defect(t9)) +
-        ((motor_defect(t17) + motor_defect(t18)) + motor_defect(t19))))
+    const float t0 = 0.00921388f * self->filtered_factors[0];
+    const float t1 = (0.9802f * self->filtered_factors[1]) + -0.0002f;
+    const float t2 = (0.0094f * self->filtered_factors[1]) + 0.9048f;
+    const float t3 = self->filtered_factors[2] * t2;
+    const float t4 = t0 + (t1 * t3);
+    const float t5 = 0.0198f * u[0];
+    const float t6 = 2.1e-05f * u[0];
+    const float t7 = t4 + (t5 * t6);
+    const float t8 = (8.836e-05f * self->filtered_factors[0]) + (t2 * t3) + 0.0001f;
+    const float t9 = 0.0001f * u[0];
+    const float t10 = t8 + (t9 * t6);
+    const float t11 = t7 / t10;
+    const float t12 = 0.9802f - (0.0094f * t11);
+    const float t13 = t12 * (self->filtered_factors[0] * t12);
+    const float t14 = t1 - (t11 * t2);
+    const float t15 = t13 + (t14 * (self->filtered_factors[2] * t14)) + 0.0001f;
+    const float t16 = t5 - (t11 * t9);
+    next_factors[0] = t15 + (t16 * (0.21f * t16)) + (t11 * (0.0001f * t11));
+    next_factors[1] = t11;
+    next_factors[2] = t10;
+
+    /* prediction of the next sample */
+    const float t17 = (0.9802f * self->filtered_state[0]) + (-0.0002f * self->filtered_state[1]);
+    const float t18 = t17 + (0.01386f * u[0]);
+    const float t19 = (0.0094f * self->filtered_state[0]) + (0.9048f * self->filtered_state[1]);
+    const float t20 = t19 + (7.0e-05f * u[0]);
+    const float t21 = next_factors[0] + (next_factors[1] * (next_factors[1] * next_factors[2]));
+    raw_predicted_covariance[1] = next_factors[1] * next_factors[2];
+    const float t22 = (0.9802f * self->filtered_gain[0]) + (-0.0002f * self->filtered_gain[1]);
+    const float t23 = (0.0094f * self->filtered_gain[0]) + (0.9048f * self->filtered_gain[1]);
+    if (!motor_finite(((motor_defect(t18) + motor_defect(t20)) + motor_defect(t21)) +
+        (motor_defect(t22) + motor_defect(t23))))
     {
         return MOTOR_RESULT_NOT_FINITE;
     }
-    raw_predicted_state[0] = t1;
-    raw_predicted_state[1] = t3;
-    raw_predicted_covariance[0] = t9;
-    raw_predicted_covariance[2] = t17;
-    next->gain[0] = t18;
-    next->gain[1] = t19;
+    raw_predicted_factors[0] = next_factors[0];
+    raw_predicted_factors[1] = next_factors[1];
+    raw_predicted_factors[2] = next_factors[2];
+    raw_predicted_state[0] = t18;
+    raw_predicted_state[1] = t20;
+    raw_predicted_covariance[0] = t21;
+    raw_predicted_covariance[2] = next_factors[2];
+    next->gain[0] = t22;
+    next->gain[1] = t23;
 
     /* within the ranges of the spec */
     motor_within_the_ranges(raw_predicted_state, next->predicted_state, raw_predicted_covariance,
-        next->predicted_covariance);
+        raw_predicted_factors, next->predicted_covariance, next->predicted_factors);
+    return MOTOR_OK;
+}
+
+/* Compute what follows from a prior: reads *self, writes the results to *next. */
+static motor_status_t motor_begin(const float *P, motor_t *next)
+{
+    const float t0 = P[0] - ((P[1] / (P[2] + ((P[2] <= 1.0e-36f) ? 1.0f : 0.0f))) * P[1]);
+    const float t1 = t0 + (4.7683716e-07f * P[0]);
+    if (!((t1 >= 0.0f) && (P[2] >= 0.0f))) { return MOTOR_NOT_POSITIVE_DEFINITE; }
+
+    /* factors of the prior */
+    const float t2 = 4.7683716e-07f * P[0];
+    const float t3 = P[1] / (P[2] + ((P[2] <= 1.0e-36f) ? 1.0f : 0.0f));
+    const float t4 = P[0] - (t3 * P[1]);
+    const float t5 = (t2 < t4) ? t4 : 0.0f;
+    if (!motor_finite((motor_defect(t5) + motor_defect(t3)) + motor_defect(P[2])))
+    {
+        return MOTOR_RESULT_NOT_FINITE;
+    }
+    next->predicted_factors[0] = t5;
+    next->predicted_factors[1] = t3;
+    next->predicted_factors[2] = P[2];
+    next->filtered_factors[0] = t5;
+    next->filtered_factors[1] = t3;
+    next->filtered_factors[2] = P[2];
     return MOTOR_OK;
 }
 
@@ -460,6 +482,7 @@ motor_status_t motor_start(motor_t *self, const float x[2], const float P[3])
 {
     motor_t next;
     int i;
+    motor_status_t status;
     if ((self == NULL) || (x == NULL) || (P == NULL)) { return MOTOR_NULL_POINTER; }
     if (!motor_all_finite(x, 2) || !motor_all_finite(P, 3)) { return MOTOR_INPUT_NOT_FINITE; }
     if (!motor_within(x, motor_x_range[0], motor_x_range[1], 2))
@@ -482,6 +505,8 @@ motor_status_t motor_start(motor_t *self, const float x[2], const float P[3])
     motor_fill(next.filtered_gain, 2, motor_zero_0, 1);
     motor_fill(next.rejected_rows, 1, motor_zero_0, 1);
     next.updated = 0.0f;
+    status = motor_begin(P, &next);
+    if (status != MOTOR_OK) { return status; }
     motor_mark(&next);
     *self = next;
     return MOTOR_OK;
@@ -515,6 +540,7 @@ static motor_status_t motor_pass(const motor_t *self, motor_t *next)
 static void motor_reopen(const motor_t *self, motor_t *prior)
 {
     *prior = *self;
+    motor_keep(self->filtered_factors, prior->predicted_factors, 3);
     motor_keep(self->filtered_state, prior->predicted_state, 2);
     motor_keep(self->filtered_covariance, prior->predicted_covariance, 3);
 }
@@ -536,6 +562,7 @@ static motor_status_t motor_renew(const motor_t *self, const float *y, uint32_t 
     status = motor_correct(next, y, present, outside, next);
     if (again)
     {
+        motor_keep(self->predicted_factors, next->predicted_factors, 3);
         motor_keep(self->predicted_state, next->predicted_state, 2);
         motor_keep(self->predicted_covariance, next->predicted_covariance, 3);
     }
@@ -613,6 +640,7 @@ motor_status_t motor_predict(motor_t *self, const float u[1])
     }
     status = motor_propagate(latest, u, &next);
     if (status != MOTOR_OK) { return status; }
+    motor_keep(next.predicted_factors, self->predicted_factors, 3);
     motor_keep(next.predicted_state, self->predicted_state, 2);
     motor_keep(next.predicted_covariance, self->predicted_covariance, 3);
     motor_keep(next.gain, self->gain, 2);

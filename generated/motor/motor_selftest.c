@@ -15,7 +15,7 @@
 #endif
 
 #define SAMPLES 6
-#define MEMBERS 11
+#define MEMBERS 13
 /* In this sample row 0 is marked in `valid` and holds NaN: it counts as missing. */
 #define MARKED 4
 
@@ -50,23 +50,27 @@ static const uint32_t valid[SAMPLES] = {
 /* filtered_state after each sample */
 static const float trace[SAMPLES][MOTOR_NX] = {
     { 0.0f, 0.65973616f },
-    { -7.8174076f, 0.15938425f },
-    { -7.650181f, 0.070790246f },
+    { -7.8174076f, 0.15938431f },
+    { -7.650181f, 0.07079029f },
     { -22.415754f, -0.60776657f },
     { -21.959326f, -0.7605523f },
     { -21.529644f, -0.894592f }
 };
 
 /* every member after the last sample, one after the other */
-static const float final[19] = {
+static const float final[25] = {
+    /* predicted_factors */
+    0.1665665f, 17.47039f, 0.00095105375f,
+    /* filtered_factors */
+    0.20411502f, 19.663181f, 0.00070160587f,
     /* predicted_state */
     -21.105257f, -1.011816f,
     /* predicted_covariance */
-    0.4568422f, 0.016615285f, 0.0009510538f,
+    0.45684195f, 0.01661528f, 0.00095105375f,
     /* filtered_state */
     -21.529644f, -0.894592f,
     /* filtered_covariance */
-    0.47538462f, 0.013795805f, 0.0007016058f,
+    0.4753844f, 0.013795803f, 0.00070160587f,
     /* innovation */
     0.0f,
     /* innovation_covariance */
@@ -116,6 +120,7 @@ motor_status_t motor_selftest(void)
         const float *value;
         int size;
     } member[MEMBERS] = {
+        { filter.predicted_factors, 3 }, { filter.filtered_factors, 3 },
         { filter.predicted_state, 2 }, { filter.predicted_covariance, 3 },
         { filter.filtered_state, 2 }, { filter.filtered_covariance, 3 }, { filter.innovation, 1 },
         { filter.innovation_covariance, 1 }, { &filter.nis, 1 }, { &filter.log_likelihood, 1 },

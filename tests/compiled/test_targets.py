@@ -151,7 +151,7 @@ def test_a_missing_tool_is_named_with_what_installs_it(monkeypatch):
         raise fkgen.CompilerError("no such header")
 
     avr.library.cache_clear()
-    monkeypatch.setattr(avr, "compile_shared", refused)
+    monkeypatch.setattr(avr, "on_this_machine", refused)
     with pytest.raises(fkgen.CompilerError, match="apt install libsimavr-dev"):
         emulator.emulator(board("avr"))
 

@@ -98,12 +98,37 @@ def test_the_filter_is_the_one_with_guards_in_numpy(guarded):
     np.testing.assert_array_equal(run.status, np.where(out, 2, np.where(missing, 1, 0)))
 
 
+@pytest.mark.parametrize("family", ["kf", "mkf", "genie", "mme", "one_step", "paper"])
+def test_factors_are_clamped_as_their_covariance_is(family):
+    """The Joseph form is clamped by entries of P, factors by rows of U and D: one filter."""
+    given = table(of_y=(None, None))
+    given["model"]["A"] = np.tril(A)  # rows of U are not in the order of states
+    given["filter"] = {"family": family}
+    sensor = {"problem": 1, "gamma_rate": 0.9, "delta_nominal_rate": 0.8, "noise_factor": 9.0}
+    given["faults"] = {
+        "kf": {},
+        "mkf": {"actuator": {"success_rate": 0.7}},
+        "mme": {"actuator": {}},
+    }.get(family, {"sensor": sensor | {"rows": ["m_0"]}})
+    if family == "mme":
+        given["filter"]["hypotheses"] = [0.3, 0.9]
+    if family == "paper":
+        given["filter"] = {"family": "one_step", "covariance": "paper"}
+    told = {"gamma": 1.0, "delta": 1.0} if family == "genie" else None
+    runs = {}
+    for form in ("joseph", "ud"):
+        runs[form] = build({**given, "code": {"update": form}}).run(y, u, told)
+    widths = np.diff(X)[:, 0]
+    P = runs["ud"].filtered_covariance
+    assert np.allclose([P[:, i, i].max() for i in range(2)], widths**2)
+    for port in set(runs["joseph"].ports) - {"status"}:
+        np.testing.assert_allclose(runs["ud"][port], runs["joseph"][port], rtol=1e-10, atol=1e-12)
+
+
 @pytest.mark.parametrize("scalar", ["double", "float"])
 def test_inside_its_ranges_no_bit_changes(scalar):
     wide = table(((-50.0, 50.0), None), (-50.0, 50.0), ((-99.0, 99.0), None), scalar=scalar)
     bare = table((None, None), None, (None, None), scalar=scalar)
-    for each in (wide, bare):  # in float the bare one has factors, which are not clamped
-        each["code"]["update"] = "joseph"
     run, free = build(wide).run(y, u), build(bare).run(y, u)
     for port in free.ports:
         np.testing.assert_array_equal(run[port], free[port])

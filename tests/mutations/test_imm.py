@@ -12,7 +12,7 @@ from mutants import proved, recursion, refusals
 
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import Posterior, propagate
-from fkgen.estimators.models import merge, switching
+from fkgen.estimators.models import interacting, merge, modes, switching
 
 TEXTBOOK = "matrix filters"
 BAYES = "exact Bayes"
@@ -42,7 +42,7 @@ def moved_before_mixing(builder, filtering, modes, law):
 
 
 def test_mistake_the_mode_before_moves_the_state(monkeypatch):
-    monkeypatch.setattr(switching, "_moved", moved_before_mixing)
+    monkeypatch.setattr(interacting, "_moved", moved_before_mixing)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
     failed = refusals(recursion(plant("dynamics", **KNOWN)))
     assert BAYES in failed
@@ -50,20 +50,20 @@ def test_mistake_the_mode_before_moves_the_state(monkeypatch):
 
 
 def test_mistake_modes_move_as_their_neighbours(monkeypatch):
-    right = switching.Modes.motions.fget
-    turned = property(lambda modes: (*right(modes)[1:], right(modes)[0]))
-    monkeypatch.setattr(switching.Modes, "motions", turned)
+    right = modes.Modes.motions.fget
+    turned = property(lambda each: (*right(each)[1:], right(each)[0]))
+    monkeypatch.setattr(modes.Modes, "motions", turned)
     assert BAYES in refusals(recursion(plant("dynamics", **KNOWN)))
 
 
 @pytest.mark.parametrize("name", ["dynamics", "process noise"])
 def test_mistake_combined_prediction_weighted_with_the_mode_of_the_present(name, monkeypatch):
-    right = switching._combined
+    right = interacting._combined
 
     def present(builder, filtering, motions, moved, _):
         return right(builder, filtering, motions, moved, filtering.symbols["mode_probability"])
 
-    monkeypatch.setattr(switching, "_combined", present)
+    monkeypatch.setattr(interacting, "_combined", present)
     assert TEXTBOOK in refusals(recursion(plant(name)))
 
 
@@ -77,20 +77,20 @@ def test_mistake_no_spread_of_the_means(where, monkeypatch):
             parts = zip(ca.vertsplit(given), self.parts, strict=True)
             return mean, sum(w * packed for w, (_, packed) in parts)
 
-    monkeypatch.setattr(switching, "Mixer", Flat)
+    monkeypatch.setattr(interacting, "Mixer", Flat)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
 
 
 def test_mistake_process_noise_of_the_first_mode_for_all(monkeypatch):
-    monkeypatch.setattr(switching, "mean_noise", lambda motions, _: motions[0].Q)
+    monkeypatch.setattr(interacting, "mean_noise", lambda motions, _: motions[0].Q)
     assert TEXTBOOK in refusals(recursion(plant("process noise")))
 
 
 @pytest.mark.parametrize(("letter", "name"), [("c", "offsets"), ("B", "inputs")])
 def test_mistake_modes_taken_for_equal_that_differ(letter, name, monkeypatch):
-    right = switching._identity
+    right = modes._identity
     monkeypatch.setattr(
-        switching, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
+        modes, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
     )
     failed = refusals(recursion(plant(name, **KNOWN)))
     assert BAYES in failed
@@ -101,7 +101,7 @@ def test_mistake_offsets_forgotten(monkeypatch):
     def without(builder, each, *others):
         return propagate(builder, replace(each, c=0 * each.c), *others)
 
-    monkeypatch.setattr(switching, "propagate", without)
+    monkeypatch.setattr(interacting, "propagate", without)
     assert BAYES in refusals(recursion(plant("offsets", **KNOWN)))
 
 

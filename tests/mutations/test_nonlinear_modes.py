@@ -13,7 +13,7 @@ from mutants import proved, recursion, refusals
 
 import fkgen
 from fkgen.estimators.gaussian import estimate
-from fkgen.estimators.models import bank, merge, switching
+from fkgen.estimators.models import bank, interacting, merge, one_step, switching
 from fkgen.symbolic.lifting import equations as lifting
 
 
@@ -63,8 +63,13 @@ def unreduced(value):
 #: What is put in the place of what, and a plant that shows it.
 MISTAKES = {
     "h of all modes at the first one": ("imm_jump", switching, "seen_from", at_the_first),
-    "f of a mode at the mixture's prediction": ("imm_jump", switching, "moved_from", at_the_prior),
-    "f of one_step at the prediction": ("one_step", switching, "moved_from", at_the_prior),
+    "f of a mode at the mixture's prediction": (
+        "imm_jump",
+        interacting,
+        "moved_from",
+        at_the_prior,
+    ),
+    "f of one_step at the prediction": ("one_step", one_step, "moved_from", at_the_prior),
     "covariances mixed in their own axes": (
         "imm_attitude", merge, "turned_by", lambda _: not_turned,
     ),

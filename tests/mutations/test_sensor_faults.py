@@ -15,7 +15,7 @@ from plants import random_model
 from sensor_specs import DENSE, MATCHED, centred, chain, plane, product, sensed
 
 from fkgen.estimators.gaussian.estimate import propagate
-from fkgen.estimators.models import merge, switching, weights
+from fkgen.estimators.models import merge, modes, one_step, switching, weights
 from fkgen.faults import SensorFaults
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import unpack, weighted_sum
@@ -127,7 +127,7 @@ def without_spread(w, parts, *_):
 
 
 def test_mistake_missing_spread_term_in_one_step(monkeypatch):
-    monkeypatch.setattr(switching, "mixture_covariance", without_spread)
+    monkeypatch.setattr(one_step, "mixture_covariance", without_spread)
     assert BAYES in refusals(recursion(scalar(ANY, "one_step")))
 
 
@@ -136,7 +136,7 @@ def test_mistake_transposed_kernel(which, monkeypatch):
     def transposed(builder, kernel, *rest, **options):
         return weights.advance(builder, tuple(zip(*kernel, strict=True)), *rest, **options)
 
-    monkeypatch.setattr(switching, "advance", transposed)
+    monkeypatch.setattr(modes, "advance", transposed)
     assert TEXTBOOK in refusals(recursion(scalar(ANY, which)))
     assert BAYES in refusals(recursion(scalar(KNOWN, which)))
 
@@ -223,7 +223,7 @@ def flat(name):
 
 @pytest.mark.parametrize("name", ["mixed", "combined"], ids=["in mixing", "in the output"])
 def test_mistake_no_spread(name, monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.switching.Mixer", flat(name))
+    monkeypatch.setattr("fkgen.estimators.models.interacting.Mixer", flat(name))
     failed = refusals(recursion(scalar(ANY, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (name == "combined")
@@ -249,7 +249,7 @@ def of_the_present(builder, kernel, now, *rest, **options):
     ids=["mixing normalised over j", "mu in place of c", "mu in place of c, known start"],
 )
 def test_mistake_in_the_chain(mistake, law, monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.switching.advance", mistake)
+    monkeypatch.setattr("fkgen.estimators.models.modes.advance", mistake)
     failed = refusals(recursion(scalar(law, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (law is KNOWN)
@@ -269,7 +269,7 @@ def test_mistake_m3_not_propagated(law, monkeypatch):
     modes = 4 if law is ANY else 3
     plant = sensed(centred(random_model(82, 2, 1)), law, modes=modes)
     assert proved(recursion(plant))
-    monkeypatch.setattr("fkgen.estimators.models.switching.propagate", stuck)
+    monkeypatch.setattr("fkgen.estimators.models.interacting.propagate", stuck)
     assert TEXTBOOK in refusals(recursion(plant))
 
 

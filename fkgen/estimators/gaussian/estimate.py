@@ -81,7 +81,6 @@ def update_form(
     covariances it carries.
     """
     float_, stated, size = spec.code.scalar == "float", spec.code.update, FACTORED_STATES
-    factored = factored and not spec.model.ranged  # estimates that are clamped are no factors
     rows = measurement_of(
         plant, y=ca.SX(plant.ny, 1), C=plant.C, offset=ca.SX(plant.ny, 1), R=plant.R
     )

@@ -61,9 +61,10 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     replay, delays, lagged = replay_of(spec, plant), _delays(spec, plant), _lagged(spec, plant)
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, with_gain=with_gain)
-    factored = has_factors(plant) and not delays.rows and not lagged.lag
-    form = update_form(spec, plant, augmented=size > 0, factored=factored)
     beside, notes = size + len(moved_by_noise(plant)), (*gate_notes(spec), *delays.notes)
+    other = delays.rows or lagged.lag or (beside and spec.model.ranged)
+    factored = has_factors(plant) and not other
+    form = update_form(spec, plant, augmented=size > 0, factored=factored)
     notes += (*(() if replay is None else replay.notes), *lagged.notes, *_marks(spec, plant))
     order = order_of((plant,)) if form == "ud" else ()
     if form == "ud":
@@ -82,6 +83,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, (form, order), with_gain=with_gain),
         predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order),
         form=form,
+        factor_order=order,
         outcomes=(*gate_outcomes(spec), *delays.outcomes),
         notes=notes,
         repeats=None if size or plant.S.nnz() or replay else correlated_rows((plant.R,)),

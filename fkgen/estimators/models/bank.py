@@ -138,9 +138,8 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         raise InternalError("mme without actuator faults")
     sensed = plant.D.nnz() > 0
     random = tuple(len(_random_rates(rates)) if sensed else 0 for rates in options.hypotheses)
-    form = update_form(
-        spec, plant, augmented=any(random), factored=has_factors(plant), many=len(random)
-    )
+    factored = has_factors(plant) and not (any(random) and spec.model.ranged)
+    form = update_form(spec, plant, augmented=any(random), factored=factored, many=len(random))
     ports, start = _ports(spec, random), None
     order: tuple[int, ...] = ()
     if form == "ud":
@@ -168,6 +167,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         update=_update(bank),
         predict=_predict(bank),
         form=bank.form,
+        factor_order=order,
         repeats=None if any(random) else correlated_rows((plant.R,)),
         notes=(
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",

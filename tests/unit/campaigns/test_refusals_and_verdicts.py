@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.campaigns import checkpoint, engine
+from fkgen.runtime import cache
+from fkgen.study.campaigns import engine
 
 CART = {
     "name": "cart",
@@ -121,7 +122,7 @@ def test_checkpoints_of_something_else_are_refused_and_left_alone(spec, tmp_path
         with pytest.raises(fkgen.DataError, match=message):
             fkgen.montecarlo(**given, checkpoint=file)
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint, "__version__", "99.0")
+        patch.setattr(cache, "identity", lambda: "99.0")
         with pytest.raises(
             fkgen.DataError, match=r"a checkpoint with version .*expected version 99"
         ):

@@ -137,7 +137,7 @@ def test_a_cluster_one_of_whose_workers_is_killed(spec, tmp_path, small_blocks):
         assert killed
         assert found.to_json() == wanted
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(engine, "_identity", lambda: "another")
+            patch.setattr(cache, "identity", lambda: "another")
             with pytest.raises(fkgen.DataError, match="expected fkgen another on every worker"):
                 fkgen.montecarlo(spec, 100, STEPS, 5, scheduler=address)
     assert fkgen.montecarlo(spec, trials, STEPS, 5, checkpoint=file).to_json() == wanted
