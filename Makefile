@@ -16,7 +16,7 @@ setup = @command -v $(PYTHON) >/dev/null 2>&1 || \
 pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all floats bench firmware lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all floats bench firmware proofs lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -46,6 +46,10 @@ bench: ## measure speed, next to other libraries
 firmware: ## run all examples on emulated processors and compare bits; figures as a table
 	$(setup) test
 	$(bin)/python tools/firmware.py
+
+proofs: ## have Coq check the algebra of the filters, and Gappa's bound of rounding in float
+	$(setup) run
+	$(bin)/python tools/proofs.py
 
 lint: ## check style, types, floors and the budget
 	$(setup) test

@@ -16,7 +16,9 @@ FAMILY = Family(
     name="ekf",
     title="extended Kalman filter: functions f and h in place of matrices, no faults",
     build=built_by("lmmse.kalman:linear_filter", source=SOURCE, with_gain=False),
-    proof=proved_by("nonlinear", "EXTENDED", "JOINT", "gaussian:LAGGED"),
+    proof=proved_by(
+        "nonlinear", "EXTENDED", "JOINT", "gaussian:LAGGED", theorems="gaussian:GAUSSIAN_IDENTITIES"
+    ),
     traits=Traits(nonlinear=True, correlated=True, hindsight=True),
     options=GateOptions,
     starter="starter_ekf.toml",

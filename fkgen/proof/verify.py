@@ -7,7 +7,7 @@ well: against CasADi, against NumPy statement by statement, and by the self-test
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 from fkgen.backend.lower import generate
@@ -73,5 +73,6 @@ def steps(spec: Spec) -> tuple[Step, ...]:
 
 
 def _theorem(identity: Identity) -> tuple[Claim, ...]:
-    source = f"SymPy, for all models of a size; {identity.source}"
-    return (selftest.fact(identity.claim, source, holds=identity.holds()),)
+    source = f"SymPy and Coq, for all models of a size; {identity.source}"
+    claim = selftest.fact(identity.claim, source, holds=identity.holds())
+    return (replace(claim, standing=identity.standing),)

@@ -19,12 +19,15 @@ class Claim:
     claim, source : str
     error, tolerance : float
         Largest relative error found, and allowed.
+    standing : str
+        What it stands on: "measured", or "symbolic and machine-checked" for a theorem.
     """
 
     claim: str
     source: str
     error: float
     tolerance: float
+    standing: str = "measured"
 
     @property
     def holds(self) -> bool:

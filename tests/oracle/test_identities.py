@@ -21,32 +21,32 @@ def test_claims_are_distinct_and_have_a_source():
 def without_cross_term():
     s = setting()
     wrong = s.A * s.P * s.C.T * s.inverse
-    return (s.expanded(wrong) - s.riccati,)
+    return ((s.expanded(wrong), s.riccati),)
 
 
 def short_form_at_another_gain():
     s = setting()
     K = 2 * s.gain
-    return (s.open_loop - K * s.innovation * K.T - s.expanded(K),)
+    return ((s.open_loop - K * s.innovation * K.T, s.expanded(K)),)
 
 
 def rate_in_place_of_variance():
     s = setting()
-    return (s.N - s.xi * s.U * s.U,)
+    return ((s.N, s.xi * s.U * s.U),)
 
 
 def gain_of_the_filter_moved_on():
     s = setting()
-    return (s.gain - s.A * s.filter_gain,)
+    return ((s.gain, s.A * s.filter_gain),)
 
 
 def a_hundredth_of_one_entry():
     s = setting()
-    return (s.riccati - s.riccati + s.Q / 100,)
+    return ((s.riccati + s.Q / 100, s.riccati),)
 
 
 @pytest.mark.parametrize(
-    "residual",
+    "equations",
     [
         without_cross_term,
         short_form_at_another_gain,
@@ -55,5 +55,5 @@ def a_hundredth_of_one_entry():
         a_hundredth_of_one_entry,
     ],
 )
-def test_a_wrong_identity_does_not_hold(residual):
-    assert not Identity(claim="wrong", source="none", residual=residual).holds()
+def test_a_wrong_identity_does_not_hold(equations):
+    assert not Identity(claim="wrong", source="none", equations=equations).holds()

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
-#: Matrices, or lists of entries, that must be zero.
-Zeros: TypeAlias = tuple[Any, ...]
+#: Pairs of matrices, or of lists of entries, that must be equal.
+Equations: TypeAlias = tuple[tuple[Any, Any], ...]
 
 
 class _Late:
@@ -25,16 +25,23 @@ sympy: Any = _Late()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Identity:
-    """One claim and what must vanish if it is true."""
+    """One claim and what is equal if it is true: SymPy judges it, and Coq (`proofs/`)."""
 
     claim: str
     source: str
-    residual: Callable[[], Zeros]
+    equations: Callable[[], Equations]
+    #: SymPy decides it whenever asked, and Coq has checked what tools/proofs.py prints of it
+    standing: ClassVar[str] = "symbolic and machine-checked"
+
+    def entries(self) -> list[tuple[Any, Any]]:
+        """Left and right side of every entry; zero is stated of nothing that is not written."""
+        pairs = [(sympy.Matrix(left), sympy.Matrix(right)) for left, right in self.equations()]
+        return [each for left, right in pairs for each in zip(left, right, strict=True)]
 
     def holds(self) -> bool:
-        """Whether every entry of the residual is identically zero."""
-        entries = (entry for matrix in self.residual() for entry in sympy.Matrix(matrix))
-        return all(sympy.expand(sympy.numer(sympy.together(entry))) == 0 for entry in entries)
+        """Whether the sides of every entry are identically equal."""
+        differences = (left - right for left, right in self.entries())
+        return all(sympy.expand(sympy.numer(sympy.together(each))) == 0 for each in differences)
 
 
 class Theorems(list[Identity]):
@@ -46,15 +53,15 @@ class Theorems(list[Identity]):
 
     def claim(
         self, claim: str, equations: str, *setting: Callable[[], Any], paper: str = ""
-    ) -> Callable[[Callable[..., Zeros]], None]:
-        """Decorator that states what a residual proves, in the symbols of its setting."""
+    ) -> Callable[[Callable[..., Equations]], None]:
+        """Decorator that states what equations prove, in the symbols of its setting."""
 
-        def add(residual: Callable[..., Zeros]) -> None:
+        def add(sides: Callable[..., Equations]) -> None:
             self.append(
                 Identity(
                     claim=claim,
                     source=f"{paper or self.paper}, {equations}",
-                    residual=lambda: residual(*(each() for each in setting or self.setting)),
+                    equations=lambda: sides(*(each() for each in setting or self.setting)),
                 )
             )
 
