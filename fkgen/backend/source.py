@@ -23,6 +23,9 @@ from fkgen.errors import OutputError, of_type
 
 MANIFEST, BUILD = "manifest.json", "CMakeLists.txt"
 
+#: States from which on build files choose the level on small processors.
+LARGE_STATES = 6
+
 #: Beginning of the names of files that hold functions for all filters of a program.
 SHARED = "fkgen_elementary_"
 
@@ -264,11 +267,9 @@ def _summary(entries: list[Entry], *, build_file: bool) -> dict[str, str]:
     filters = [{k: v for k, v in named[name].items() if k != "generator"} for name in sorted(named)]
     units = {each["name"]: [f for f in each["files"] if _is_unit(f, each)] for each in filters}
     fused = [each["name"] for each in filters if "fused" in each]  # they need libm
-    build = (
-        {BUILD: filled("CMakeLists.txt.j2", {"filters": units, "fused": fused})}
-        if build_file
-        else {}
-    )
+    large = [each["name"] for each in filters if len(each["states"]) >= LARGE_STATES]
+    context = {"filters": units, "fused": fused, "large": large}
+    build = {BUILD: filled("CMakeLists.txt.j2", context)} if build_file else {}
     digests = {name: _digest(text) for name, text in build.items()}
     several: Entry = {"filters": filters, "files": digests}
     one = filters[0] | {"files": dict(sorted((filters[0]["files"] | digests).items()))}

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 from fkgen.backend.ir import Signal
 from fkgen.backend.lines import filled
 from fkgen.backend.render import context_of
-from fkgen.backend.source import Source, write_package
+from fkgen.backend.source import LARGE_STATES, Source, write_package
 from fkgen.errors import DataError, OutputError
 from fkgen.problem import Spec
 from fkgen.problem.table.place import Place
@@ -64,6 +64,7 @@ class Packing:
             "about": self.spec.package,
             "kinds": self.kinds,
             "units": self.units,
+            "large": len(program.states) >= LARGE_STATES,
             "headers": sorted({*shared, *(f"src/{self.name}.{end}" for end in headers)}),
             "inner": {
                 "u": _inside(program.inputs, program.scalar),

@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from click.testing import CliRunner
 
+from fkgen.backend.source import complete
 from fkgen.cli import main
 from fkgen.target.packages import KINDS
 
@@ -227,3 +228,29 @@ def test_a_package_is_replaced_but_never_what_was_edited_or_is_of_others(tmp_pat
     taken = generate(tmp_path, SPEC + PACKAGE, "platformio", "own")
     assert (taken.exit_code, "did not write" in taken.output) == (2, True)
     assert [each.name for each in (tmp_path / "own").iterdir()] == ["library.json"]
+
+
+@needs("cmake")
+@pytest.mark.parametrize(
+    ("n", "processor", "kind", "chosen"),
+    [
+        (6, "cortex-m4", "Release", ["-Os"]),
+        (6, "arm", "Debug", []),
+        (6, "riscv32", "Release", ["-fno-schedule-insns"]),
+        (6, "x86_64", "Release", []),
+        (5, "cortex-m4", "Release", []),
+    ],
+)
+def test_build_files_choose_the_level_of_a_large_filter(n, processor, kind, chosen, tmp_path):
+    units = {f"chain{part}.c": "int chain;\n" for part in ("", "_selftest", "_selftest_main")}
+    facts = {"name": "chain", "states": [f"x{i}" for i in range(n)]}
+    for name, text in complete(units, facts).items():
+        (tmp_path / name).write_text(text)
+    cross = ["-DCMAKE_SYSTEM_NAME=Generic", f"-DCMAKE_SYSTEM_PROCESSOR={processor}"]
+    cross += ["-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY", f"-DCMAKE_BUILD_TYPE={kind}"]
+    cross += ["-DCMAKE_EXPORT_COMPILE_COMMANDS=ON", "-DCMAKE_C_COMPILER=gcc"]
+    run("cmake", "-S", tmp_path, "-B", tmp_path / "build", *cross, folder=tmp_path)
+    commands = json.loads((tmp_path / "build/compile_commands.json").read_text())
+    [words] = [each["command"].split() for each in commands if each["file"].endswith("chain.c")]
+    last = words[words.index("-ffp-contract=off") + 1 :]
+    assert [word for word in last if word in {"-Os", "-fno-schedule-insns"}] == chosen
