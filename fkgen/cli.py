@@ -266,16 +266,24 @@ def export_fmu(spec: Spec, output: Path | None, *, force: bool) -> None:
 @main.command()
 @_SPEC
 @click.option("--target", "targets", multiple=True, help="Processor to emulate; repeat, or a,b.")
+@click.option("--prove", is_flag=True, help="No run-time error, by Frama-C's EVA.")
 @_JSON
 @click.option("-o", "--output", type=Path, help="JSON file with errors, seeds and versions.")
 @_FORCE
 def verify(
-    spec: Spec, *, targets: tuple[str, ...], as_json: bool, output: Path | None, force: bool
+    spec: Spec,
+    *,
+    targets: tuple[str, ...],
+    prove: bool,
+    as_json: bool,
+    output: Path | None,
+    force: bool,
 ) -> None:
     """Confront the filter of SPEC with the literature, and the compiled C with all of it.
 
     With --target it is built for processors, and 200 steps are held against those of this machine:
     cortex-m0plus, cortex-m3, cortex-m4f, cortex-m7, cortex-m33, rv32imac, rv32imafc, rv64gc, avr.
+    With --prove its C is analysed: no call has a run-time error, whatever bits it is given.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -283,7 +291,7 @@ def verify(
     from fkgen.study.reports.evidence import FIGURES, Evidence, told
 
     refuse_targets(output, force=force)
-    found = Evidence(spec, told(targets))
+    found = Evidence(spec, told(targets), prove)
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=console(err=True), transient=True) as progress:
         for step in progress.track(found.steps(), description=""):
