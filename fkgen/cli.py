@@ -220,16 +220,19 @@ def _styled(text: str, style: str) -> Any:
 @_SPEC
 @click.option("-o", "--output", type=Path, help="Folder; default: the name of the filter, here.")
 @click.option("--package", "kinds", default="", help="With files for: cmake,cpp,arduino,...")
-def generate(spec: Spec, output: Path | None, kinds: str) -> None:
+@click.option("--harness", is_flag=True, help="With a program for libFuzzer; not in a package.")
+def generate(spec: Spec, output: Path | None, kinds: str, *, harness: bool) -> None:
     """Prove the filter of SPEC and write it as C.
 
     A package is for one or several of cmake, arduino, platformio, zephyr, esp-idf, cmsis, mex and
     cpp; its version and author are those of the table [package] of SPEC.
     """
     from fkgen import pipeline
-    from fkgen.backend.render import cost
+    from fkgen.backend.render import cost, with_harness
     from fkgen.backend.source import own_files
 
+    if kinds and harness:
+        raise click.UsageError("--harness: given with --package; expected one of them")
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
     if kinds:
@@ -239,6 +242,7 @@ def generate(spec: Spec, output: Path | None, kinds: str) -> None:
         for name in packages.write(spec, source, packages.listed(kinds), folder):
             click.echo(folder / name)
         return
+    source = with_harness(source) if harness else source
     folder = source.write(output or Path(spec.name))
     left = source.files.keys() - own_files(folder)
     for name in sorted(source.files.keys() - left):

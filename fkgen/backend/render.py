@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from fkgen.backend.elementary import FORMATS
@@ -78,6 +79,12 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     alone = elementary_context(Printer(program), program.functions - WHOLE)
     lanes = lanes_text(program, context, alone)
     return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
+
+
+def with_harness(source: Source) -> Source:
+    """The same files, and a program for libFuzzer that calls the filter in any order."""
+    text = filled("fuzz.c.j2", context_of(source.program))
+    return replace(source, files={**source.files, f"{source.program.name}_fuzz.c": text})
 
 
 def context_of(program: CProgram) -> dict[str, object]:
