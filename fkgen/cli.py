@@ -220,16 +220,19 @@ def _styled(text: str, style: str) -> Any:
 @_SPEC
 @click.option("-o", "--output", type=Path, help="Folder; default: the name of the filter, here.")
 @click.option("--package", "kinds", default="", help="With files for: cmake,cpp,arduino,...")
-def generate(spec: Spec, output: Path | None, kinds: str) -> None:
+@click.option("--harness", is_flag=True, help="With a program for libFuzzer; not in a package.")
+def generate(spec: Spec, output: Path | None, kinds: str, *, harness: bool) -> None:
     """Prove the filter of SPEC and write it as C.
 
     A package is for one or several of cmake, arduino, platformio, zephyr, esp-idf, cmsis, mex and
     cpp; its version and author are those of the table [package] of SPEC.
     """
     from fkgen import pipeline
-    from fkgen.backend.render import cost
+    from fkgen.backend.render import cost, with_harness
     from fkgen.backend.source import own_files
 
+    if kinds and harness:
+        raise click.UsageError("--harness: given with --package; expected one of them")
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
     if kinds:
@@ -239,6 +242,7 @@ def generate(spec: Spec, output: Path | None, kinds: str) -> None:
         for name in packages.write(spec, source, packages.listed(kinds), folder):
             click.echo(folder / name)
         return
+    source = with_harness(source) if harness else source
     folder = source.write(output or Path(spec.name))
     left = source.files.keys() - own_files(folder)
     for name in sorted(source.files.keys() - left):
@@ -266,16 +270,24 @@ def export_fmu(spec: Spec, output: Path | None, *, force: bool) -> None:
 @main.command()
 @_SPEC
 @click.option("--target", "targets", multiple=True, help="Processor to emulate; repeat, or a,b.")
+@click.option("--prove", is_flag=True, help="No run-time error, by Frama-C's EVA.")
 @_JSON
 @click.option("-o", "--output", type=Path, help="JSON file with errors, seeds and versions.")
 @_FORCE
 def verify(
-    spec: Spec, *, targets: tuple[str, ...], as_json: bool, output: Path | None, force: bool
+    spec: Spec,
+    *,
+    targets: tuple[str, ...],
+    prove: bool,
+    as_json: bool,
+    output: Path | None,
+    force: bool,
 ) -> None:
     """Confront the filter of SPEC with the literature, and the compiled C with all of it.
 
     With --target it is built for processors, and 200 steps are held against those of this machine:
     cortex-m0plus, cortex-m3, cortex-m4f, cortex-m7, cortex-m33, rv32imac, rv32imafc, rv64gc, avr.
+    With --prove its C is analysed: no call has a run-time error, whatever bits it is given.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -283,7 +295,7 @@ def verify(
     from fkgen.study.reports.evidence import FIGURES, Evidence, told
 
     refuse_targets(output, force=force)
-    found = Evidence(spec, told(targets))
+    found = Evidence(spec, told(targets), prove)
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=console(err=True), transient=True) as progress:
         for step in progress.track(found.steps(), description=""):

@@ -338,8 +338,8 @@ class Printer(StatementPrinter):
 
     @property
     def padded(self) -> bool:
-        """Whether the words of flags leave room at the end of an instance, of doubles."""
-        words = self.words * len(self.members)
+        """Whether the words at its end leave room in an instance, of doubles."""
+        words = self.words * len(self.members) + 1
         return self.real == "double" and words % 2 > 0
 
     @property

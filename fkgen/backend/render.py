@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from fkgen.backend.elementary import FORMATS
@@ -29,7 +30,7 @@ from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, comb
 from fkgen.backend.routines import Outline, outline
 from fkgen.backend.size.stack import BYTES, instance_of, stack_of
 from fkgen.backend.source import SHARED, Source, complete
-from fkgen.symbolic.interface import OUTSIDE, Port, Role, Status
+from fkgen.symbolic.interface import CORRELATED, OUTSIDE, UPDATED, Port, Role, Status
 from fkgen.version import API_VERSION, __version__
 
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
@@ -47,6 +48,9 @@ _FUSING = {
 #: Rows of a triangle up to which its loops are written out by the compiler: mispredicted branches
 #: cost more than the copies.
 UNROLLED = 12
+
+#: Above it a number is no probability: one that is rounded exceeds 1 by far less.
+LARGEST_PROBABILITY = 1.00001
 
 _COMMENTS = {
     "correct": "Condition on y[k]",
@@ -77,6 +81,12 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     return Source(program=program, files=files, record=record, lanes=lanes, claims=claims)
 
 
+def with_harness(source: Source) -> Source:
+    """The same files, and a program for libFuzzer that calls the filter in any order."""
+    text = filled("fuzz.c.j2", context_of(source.program))
+    return replace(source, files={**source.files, f"{source.program.name}_fuzz.c": text})
+
+
 def context_of(program: CProgram) -> dict[str, object]:
     """What the templates of one filter read."""
     outlined = joined(outline(program), (c := Printer(program)).fits)
@@ -97,6 +107,8 @@ def context_of(program: CProgram) -> dict[str, object]:
         "scalars": sum(port.size for port in program.ports),
         "bytes": _bytes(program, outlined, starts),
         "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
+        "hash": f"UINT32_C(0x{program.digest[:8]})",
+        "sound": _sound(c),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "Status": Status,
@@ -158,6 +170,21 @@ def _bounds(c: Printer) -> dict[str, list[list[str]]]:
         else []
         for letter, found in signals.items()
     }
+
+
+def _sound(c: Printer) -> list[tuple[str, int, tuple[str, str], int]]:
+    """What a check asks of members: size, least and largest number, rows where it has variances."""
+    n = len(c.program.errors)
+    any_number, one = (f"-{c.limit}", c.limit), (c.literal(0.0), c.literal(LARGEST_PROBABILITY))
+    found = []
+    for port in c.program.ports:
+        probable = port.flags or port.name.endswith("probability")
+        rows = port.shape[-1] if port.symmetric else n * port.name.endswith("_factors")
+        member = f"{'' if port.shape else '&'}self->{port.member}"
+        found.append((member, port.size, one if probable else any_number, rows))
+    groups = len(c.program.repeats or ())
+    found += [(f"self->{CORRELATED}", groups, one, 0)] if groups else []
+    return [*found, (f"&self->{UPDATED}", 1, one, 0)]
 
 
 def _largest_triangle(outlined: Outline) -> int:

@@ -279,4 +279,5 @@ def _summary(entries: list[Entry], *, build_file: bool) -> dict[str, str]:
 
 def _is_unit(file: str, entry: Entry) -> bool:
     """Whether a file is part of the library of a filter."""
-    return file.endswith(".c") and not file.startswith(f"{entry['name']}_selftest")
+    apart = tuple(f"{entry['name']}_{kind}" for kind in ("selftest", "fuzz"))
+    return file.endswith(".c") and not file.startswith(apart)

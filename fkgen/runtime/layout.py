@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fkgen.backend.ir import CProgram
-from fkgen.symbolic.interface import CORRELATED, UPDATED, Port, Role
+from fkgen.symbolic.interface import CORRELATED, MODEL, UPDATED, Port, Role
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,8 @@ class Layout:
         words = -(-len(self.outputs) // 32)
         flags = [port.name for port in self.ports if port.flags]
         fields += [(name, ctypes.c_uint32 * words) for name in flags]
-        if self.scalar == "double" and words * len(flags) % 2:
+        fields.append((MODEL, ctypes.c_uint32))
+        if self.scalar == "double" and words * len(flags) % 2 == 0:
             fields.append(("unused", ctypes.c_uint32))
         return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
 

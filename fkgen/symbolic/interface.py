@@ -47,6 +47,7 @@ class Status(Enum):
     WRONG_ORDER = -7, "a second update of this sample, which this filter cannot take: predict first"
     NOT_A_ROTATION = -8, "a quaternion to start from is not of unit length, to within 1e-3"
     INPUT_OUT_OF_RANGE = -9, "u, or a mean to start from, lies outside of its range"
+    INVALID_INSTANCE = -10, "not started, damaged, or an instance of another model"
 
 
 #: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells
@@ -55,6 +56,9 @@ UPDATED, CORRELATED = "updated", "correlated"
 
 #: An argument of an update beside y: 1 for each row that was measured and is out of its range.
 OUTSIDE = "outside"
+
+#: The member of an instance that says of which model it is.
+MODEL = "model"
 
 #: Statuses that only filters have which test their samples.
 VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)

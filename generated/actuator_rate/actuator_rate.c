@@ -338,6 +338,8 @@ actuator_rate_status_t actuator_rate_start(actuator_rate_t *self, const double x
     actuator_rate_fill(next.gain, 2, actuator_rate_zero_0, 1);
     actuator_rate_fill(next.filtered_gain, 2, actuator_rate_zero_0, 1);
     next.updated = 0.0;
+    next.model = ACTUATOR_RATE_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return ACTUATOR_RATE_OK;
 }
@@ -354,6 +356,58 @@ actuator_rate_status_t actuator_rate_params_init(actuator_rate_params_t *params)
     params->torque_noise = 0.0001;
     params->speed_noise = 0.001;
     return ACTUATOR_RATE_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int actuator_rate_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int actuator_rate_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+actuator_rate_status_t actuator_rate_check(const actuator_rate_t *self)
+{
+    int sound;
+    if (self == NULL) { return ACTUATOR_RATE_NULL_POINTER; }
+    sound = self->model == ACTUATOR_RATE_MODEL_HASH;
+    sound = sound && actuator_rate_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_variances(self->predicted_covariance, 3, 2);
+    sound = sound && actuator_rate_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_variances(self->filtered_covariance, 3, 2);
+    sound = sound && actuator_rate_between(self->innovation, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(self->innovation_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_variances(self->innovation_covariance, 1, 1);
+    sound = sound && actuator_rate_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(self->gain, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(self->filtered_gain, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && actuator_rate_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? ACTUATOR_RATE_OK : ACTUATOR_RATE_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -417,6 +471,8 @@ static actuator_rate_status_t actuator_rate_first(actuator_rate_t *self,
     status = actuator_rate_propagate(&next, params, u, &next);
     if (status != ACTUATOR_RATE_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -431,6 +487,8 @@ static actuator_rate_status_t actuator_rate_again(actuator_rate_t *self,
     status = actuator_rate_propagate(&next, params, u, &next);
     if (status != ACTUATOR_RATE_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -39,9 +39,9 @@
  *   y[0]  speed_measured, rad/s
  *
  * Cost of one step with every row present: 68 floating-point operations and 1 log.
- * An instance is 19 doubles, 152 bytes; nothing else is kept. Tables of constants: 48 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1376 bytes at -O0, 608 at -Os.
+ * An instance is 19 doubles and 1 of uint32_t, 160 bytes; nothing else is kept. Tables of
+ * constants: 48 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 1408 bytes at -O0, 624 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -56,6 +56,7 @@ extern "C" {
 
 #define ACTUATOR_RATE_API_VERSION 1
 #define ACTUATOR_RATE_SPEC_HASH "482e19ff4b1c9fd4"
+#define ACTUATOR_RATE_MODEL_HASH UINT32_C(0x482e19ff)
 #define ACTUATOR_RATE_NX 2
 #define ACTUATOR_RATE_NE 2
 #define ACTUATOR_RATE_NY 1
@@ -100,8 +101,10 @@ typedef enum
     ACTUATOR_RATE_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     ACTUATOR_RATE_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                              target */
-    ACTUATOR_RATE_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                        take: predict first */
+    ACTUATOR_RATE_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                         take: predict first */
+    ACTUATOR_RATE_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                              model */
 } actuator_rate_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -132,6 +135,8 @@ typedef struct
     double filtered_gain[2]; /**< Kf: d x(k|k) / d y[k]; columns of missing rows are 0 (2 x 1),
                                   [A, rad/s] per [rad/s] */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< ACTUATOR_RATE_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } actuator_rate_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -168,6 +173,14 @@ actuator_rate_status_t actuator_rate_predict(actuator_rate_t *self,
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 actuator_rate_status_t actuator_rate_step(actuator_rate_t *self,
     const actuator_rate_params_t *params, const double u[1], const double y[1], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return ACTUATOR_RATE_OK, ACTUATOR_RATE_NULL_POINTER or ACTUATOR_RATE_INVALID_INSTANCE.
+ */
+actuator_rate_status_t actuator_rate_check(const actuator_rate_t *self);
 
 /** Run a recorded example and compare every bit. ACTUATOR_RATE_OK if all agree. In
  *  actuator_rate_selftest.c. */

@@ -126,6 +126,12 @@ actuator_rate_status_t actuator_rate_selftest(void)
     int k, i;
     if (actuator_rate_init(&filter) != ACTUATOR_RATE_OK) { return ACTUATOR_RATE_NULL_POINTER; }
     (void)actuator_rate_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (actuator_rate_check(&filter) != ACTUATOR_RATE_INVALID_INSTANCE)
+    {
+        return ACTUATOR_RATE_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < ACTUATOR_RATE_NY; ++i)
@@ -155,6 +161,7 @@ actuator_rate_status_t actuator_rate_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = actuator_rate_step(&filter, &params, input[0], y, valid[0]);
     if (status != ACTUATOR_RATE_INPUT_NOT_FINITE) { return ACTUATOR_RATE_SELFTEST_FAILED; }
+    if (actuator_rate_check(&filter) != ACTUATOR_RATE_OK) { return ACTUATOR_RATE_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

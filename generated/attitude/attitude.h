@@ -112,9 +112,9 @@
  *
  * Cost of one step with every row present: 27659 floating-point operations and 6 atan2 and 17 cos
  * and 3 exp and 13 log and 17 sin and 23 sqrt.
- * An instance is 797 doubles, 6376 bytes; nothing else is kept. Tables of constants: 784 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 70992 bytes at -O0, 57840 at -Os.
+ * An instance is 797 doubles and 1 of uint32_t, 6384 bytes; nothing else is kept. Tables of
+ * constants: 784 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 71024 bytes at -O0, 57856 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -129,6 +129,7 @@ extern "C" {
 
 #define ATTITUDE_API_VERSION 1
 #define ATTITUDE_SPEC_HASH "b962649b73160df7"
+#define ATTITUDE_MODEL_HASH UINT32_C(0xb962649b)
 #define ATTITUDE_NX 13
 #define ATTITUDE_NE 12 /* rows of covariances: an attitude has 4 numbers and 3 errors */
 #define ATTITUDE_NY 9
@@ -220,8 +221,9 @@ typedef enum
                                         target */
     ATTITUDE_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
                                     predict first */
-    ATTITUDE_NOT_A_ROTATION = -8 /**< a quaternion to start from is not of unit length, to within
-                                      1e-3 */
+    ATTITUDE_NOT_A_ROTATION = -8, /**< a quaternion to start from is not of unit length, to within
+                                       1e-3 */
+    ATTITUDE_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } attitude_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -256,6 +258,8 @@ typedef struct
     double mode_filtered_state[39]; /**< x(k|k) under each mode (3 x 13) */
     double mode_filtered_covariance[234]; /**< its error covariance (3 x symmetric 12 x 12) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< ATTITUDE_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } attitude_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or attitude_start(),
@@ -291,6 +295,14 @@ attitude_status_t attitude_predict(attitude_t *self, const attitude_params_t *pa
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 attitude_status_t attitude_step(attitude_t *self, const attitude_params_t *params,
     const double u[6], const double y[9], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return ATTITUDE_OK, ATTITUDE_NULL_POINTER or ATTITUDE_INVALID_INSTANCE.
+ */
+attitude_status_t attitude_check(const attitude_t *self);
 
 /** Run a recorded example and compare every bit. ATTITUDE_OK if all agree. In
  *  attitude_selftest.c. */

@@ -2233,6 +2233,8 @@ battery_status_t battery_start(battery_t *self, const double x[4], const double 
     battery_fill(next.mode_filtered_state, 16, x, 4);
     battery_fill(next.mode_filtered_covariance, 40, P, 10);
     next.updated = 0.0;
+    next.model = BATTERY_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return BATTERY_OK;
 }
@@ -2248,6 +2250,66 @@ battery_status_t battery_params_init(battery_params_t *params)
     params->dt = 1.0;
     params->capacity = 30.5;
     return BATTERY_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int battery_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int battery_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+battery_status_t battery_check(const battery_t *self)
+{
+    int sound;
+    if (self == NULL) { return BATTERY_NULL_POINTER; }
+    sound = self->model == BATTERY_MODEL_HASH;
+    sound = sound && battery_between(self->predicted_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->predicted_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_variances(self->predicted_covariance, 10, 4);
+    sound = sound && battery_between(self->filtered_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->filtered_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_variances(self->filtered_covariance, 10, 4);
+    sound = sound && battery_between(self->innovation, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->innovation_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_variances(self->innovation_covariance, 3, 2);
+    sound = sound && battery_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->mode_probability, 4, 0.0, 1.00001);
+    sound = sound && battery_between(self->predicted_mode_probability, 4, 0.0, 1.00001);
+    sound = sound && battery_between(self->log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->predicted_log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->mode_state, 16, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->mode_covariance, 40, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_variances(self->mode_covariance, 40, 4);
+    sound = sound && battery_between(self->mode_filtered_state, 16, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_between(self->mode_filtered_covariance, 40, -DBL_MAX, DBL_MAX);
+    sound = sound && battery_variances(self->mode_filtered_covariance, 40, 4);
+    sound = sound && battery_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? BATTERY_OK : BATTERY_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -2320,6 +2382,8 @@ static battery_status_t battery_first(battery_t *self, const battery_params_t *p
     status = battery_propagate(&next, params, &next);
     if (status != BATTERY_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -2334,6 +2398,8 @@ static battery_status_t battery_again(battery_t *self, const battery_params_t *p
     status = battery_propagate(&next, params, &next);
     if (status != BATTERY_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -45,9 +45,9 @@
  *   y[1]  voltage, V
  *
  * Cost of one step with every row present: 2932 floating-point operations and 32 exp and 15 log.
- * An instance is 164 doubles, 1312 bytes; nothing else is kept. Tables of constants: 184 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 20736 bytes at -O0, 7184 at -Os.
+ * An instance is 164 doubles and 1 of uint32_t, 1320 bytes; nothing else is kept. Tables of
+ * constants: 184 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 20768 bytes at -O0, 7184 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -62,6 +62,7 @@ extern "C" {
 
 #define BATTERY_API_VERSION 1
 #define BATTERY_SPEC_HASH "936daab7fe0410f0"
+#define BATTERY_MODEL_HASH UINT32_C(0x936daab7)
 #define BATTERY_NX 4
 #define BATTERY_NE 4
 #define BATTERY_NY 2
@@ -105,8 +106,9 @@ typedef enum
     BATTERY_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     BATTERY_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                        target */
-    BATTERY_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                  predict first */
+    BATTERY_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                   predict first */
+    BATTERY_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } battery_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -144,6 +146,8 @@ typedef struct
     double mode_filtered_covariance[40]; /**< its error covariance (4 x symmetric 4 x 4),
                                               [-, V, A, ohm] squared */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< BATTERY_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } battery_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or battery_start(),
@@ -176,6 +180,14 @@ battery_status_t battery_predict(battery_t *self, const battery_params_t *params
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 battery_status_t battery_step(battery_t *self, const battery_params_t *params, const double y[2],
     uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return BATTERY_OK, BATTERY_NULL_POINTER or BATTERY_INVALID_INSTANCE.
+ */
+battery_status_t battery_check(const battery_t *self);
 
 /** Run a recorded example and compare every bit. BATTERY_OK if all agree. In battery_selftest.c. */
 battery_status_t battery_selftest(void);

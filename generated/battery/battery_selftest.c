@@ -160,6 +160,9 @@ battery_status_t battery_selftest(void)
     int k, i;
     if (battery_init(&filter) != BATTERY_OK) { return BATTERY_NULL_POINTER; }
     (void)battery_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (battery_check(&filter) != BATTERY_INVALID_INSTANCE) { return BATTERY_SELFTEST_FAILED; }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < BATTERY_NY; ++i)
@@ -186,6 +189,7 @@ battery_status_t battery_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = battery_step(&filter, &params, y, valid[0]);
     if (status != BATTERY_INPUT_NOT_FINITE) { return BATTERY_SELFTEST_FAILED; }
+    if (battery_check(&filter) != BATTERY_OK) { return BATTERY_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return BATTERY_SELFTEST_FAILED; }

@@ -496,6 +496,8 @@ car_speed_status_t car_speed_start(car_speed_t *self, const double x[2], const d
     next.nis = 0.0;
     next.log_likelihood = 0.0;
     next.updated = 0.0;
+    next.model = CAR_SPEED_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return CAR_SPEED_OK;
 }
@@ -510,6 +512,56 @@ car_speed_status_t car_speed_params_init(car_speed_params_t *params)
     if (params == NULL) { return CAR_SPEED_NULL_POINTER; }
     params->dt = 0.01;
     return CAR_SPEED_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int car_speed_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int car_speed_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+car_speed_status_t car_speed_check(const car_speed_t *self)
+{
+    int sound;
+    if (self == NULL) { return CAR_SPEED_NULL_POINTER; }
+    sound = self->model == CAR_SPEED_MODEL_HASH;
+    sound = sound && car_speed_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_variances(self->predicted_covariance, 3, 2);
+    sound = sound && car_speed_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_variances(self->filtered_covariance, 3, 2);
+    sound = sound && car_speed_between(self->innovation, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_between(self->innovation_covariance, 21, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_variances(self->innovation_covariance, 21, 6);
+    sound = sound && car_speed_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && car_speed_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? CAR_SPEED_OK : CAR_SPEED_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -573,6 +625,8 @@ static car_speed_status_t car_speed_first(car_speed_t *self, const double *y, ui
     status = car_speed_propagate(&next, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -587,6 +641,8 @@ static car_speed_status_t car_speed_again(car_speed_t *self, const double *y, ui
     status = car_speed_propagate(&next, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

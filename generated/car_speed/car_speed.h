@@ -45,9 +45,9 @@
  *   y[5]  qcom, m/s
  *
  * Cost of one step with every row present: 190 floating-point operations and 2 log.
- * An instance is 40 doubles, 320 bytes; nothing else is kept. Tables of constants: 96 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2976 bytes at -O0, 1120 at -Os.
+ * An instance is 40 doubles and 1 of uint32_t, 328 bytes; nothing else is kept. Tables of
+ * constants: 96 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2992 bytes at -O0, 1120 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -62,6 +62,7 @@ extern "C" {
 
 #define CAR_SPEED_API_VERSION 1
 #define CAR_SPEED_SPEC_HASH "4b03318208aa83d7"
+#define CAR_SPEED_MODEL_HASH UINT32_C(0x4b033182)
 #define CAR_SPEED_NX 2
 #define CAR_SPEED_NE 2
 #define CAR_SPEED_NY 6
@@ -116,8 +117,9 @@ typedef enum
     CAR_SPEED_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     CAR_SPEED_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                          target */
-    CAR_SPEED_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                    predict first */
+    CAR_SPEED_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                     predict first */
+    CAR_SPEED_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } car_speed_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -142,6 +144,8 @@ typedef struct
     double nis; /**< normalised innovation squared over the rows present */
     double log_likelihood; /**< log density of the rows present given y[0..k-1] */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< CAR_SPEED_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } car_speed_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or car_speed_start(),
@@ -176,6 +180,14 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return CAR_SPEED_OK, CAR_SPEED_NULL_POINTER or CAR_SPEED_INVALID_INSTANCE.
+ */
+car_speed_status_t car_speed_check(const car_speed_t *self);
 
 /** Run a recorded example and compare every bit. CAR_SPEED_OK if all agree. In
  *  car_speed_selftest.c. */

@@ -127,6 +127,12 @@ car_speed_status_t car_speed_selftest(void)
     int k, i;
     if (car_speed_init(&filter) != CAR_SPEED_OK) { return CAR_SPEED_NULL_POINTER; }
     (void)car_speed_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (car_speed_check(&filter) != CAR_SPEED_INVALID_INSTANCE)
+    {
+        return CAR_SPEED_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < CAR_SPEED_NY; ++i)
@@ -156,6 +162,7 @@ car_speed_status_t car_speed_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = car_speed_step(&filter, &params, input[0], y, valid[0]);
     if (status != CAR_SPEED_INPUT_NOT_FINITE) { return CAR_SPEED_SELFTEST_FAILED; }
+    if (car_speed_check(&filter) != CAR_SPEED_OK) { return CAR_SPEED_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return CAR_SPEED_SELFTEST_FAILED; }

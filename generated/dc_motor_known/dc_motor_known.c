@@ -332,6 +332,8 @@ dc_motor_known_status_t dc_motor_known_start(dc_motor_known_t *self, const doubl
     dc_motor_known_fill(next.gain, 2, dc_motor_known_zero_0, 1);
     dc_motor_known_fill(next.filtered_gain, 2, dc_motor_known_zero_0, 1);
     next.updated = 0.0;
+    next.model = DC_MOTOR_KNOWN_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return DC_MOTOR_KNOWN_OK;
 }
@@ -346,6 +348,58 @@ dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *para
     if (params == NULL) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     params->xi = 0.7;
     return DC_MOTOR_KNOWN_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int dc_motor_known_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int dc_motor_known_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+dc_motor_known_status_t dc_motor_known_check(const dc_motor_known_t *self)
+{
+    int sound;
+    if (self == NULL) { return DC_MOTOR_KNOWN_NULL_POINTER; }
+    sound = self->model == DC_MOTOR_KNOWN_MODEL_HASH;
+    sound = sound && dc_motor_known_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_variances(self->predicted_covariance, 3, 2);
+    sound = sound && dc_motor_known_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_variances(self->filtered_covariance, 3, 2);
+    sound = sound && dc_motor_known_between(self->innovation, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(self->innovation_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_variances(self->innovation_covariance, 1, 1);
+    sound = sound && dc_motor_known_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(self->gain, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(self->filtered_gain, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_known_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -410,6 +464,8 @@ static dc_motor_known_status_t dc_motor_known_first(dc_motor_known_t *self,
     status = dc_motor_known_propagate(&next, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -424,6 +480,8 @@ static dc_motor_known_status_t dc_motor_known_again(dc_motor_known_t *self,
     status = dc_motor_known_propagate(&next, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -126,6 +126,12 @@ dc_motor_known_status_t dc_motor_known_selftest(void)
     int k, i;
     if (dc_motor_known_init(&filter) != DC_MOTOR_KNOWN_OK) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     (void)dc_motor_known_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (dc_motor_known_check(&filter) != DC_MOTOR_KNOWN_INVALID_INSTANCE)
+    {
+        return DC_MOTOR_KNOWN_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < DC_MOTOR_KNOWN_NY; ++i)
@@ -155,6 +161,10 @@ dc_motor_known_status_t dc_motor_known_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = dc_motor_known_step(&filter, &params, input[0], y, valid[0]);
     if (status != DC_MOTOR_KNOWN_INPUT_NOT_FINITE) { return DC_MOTOR_KNOWN_SELFTEST_FAILED; }
+    if (dc_motor_known_check(&filter) != DC_MOTOR_KNOWN_OK)
+    {
+        return DC_MOTOR_KNOWN_SELFTEST_FAILED;
+    }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -1014,6 +1014,8 @@ dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const
     dc_motor_unknown_fill(next.mode_deviation_covariance, 5, dc_motor_unknown_zero_0, 1);
     dc_motor_unknown_fill(next.mode_deviation_cross, 10, dc_motor_unknown_zero_0, 1);
     next.updated = 0.0;
+    next.model = DC_MOTOR_UNKNOWN_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return DC_MOTOR_UNKNOWN_OK;
 }
@@ -1021,6 +1023,71 @@ dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const
 dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
 {
     return dc_motor_unknown_start(self, dc_motor_unknown_x_0, dc_motor_unknown_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int dc_motor_unknown_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int dc_motor_unknown_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+dc_motor_unknown_status_t dc_motor_unknown_check(const dc_motor_unknown_t *self)
+{
+    int sound;
+    if (self == NULL) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
+    sound = self->model == DC_MOTOR_UNKNOWN_MODEL_HASH;
+    sound = sound && dc_motor_unknown_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_variances(self->predicted_covariance, 3, 2);
+    sound = sound && dc_motor_unknown_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_variances(self->filtered_covariance, 3, 2);
+    sound = sound && dc_motor_unknown_between(self->innovation, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->innovation_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_variances(self->innovation_covariance, 3, 2);
+    sound = sound && dc_motor_unknown_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_probability, 5, 0.0, 1.00001);
+    sound = sound && dc_motor_unknown_between(&self->success_rate_estimate, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->paper_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->log_weight, 5, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_state, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_covariance, 15, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_variances(self->mode_covariance, 15, 2);
+    sound = sound && dc_motor_unknown_between(self->mode_filtered_state, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_filtered_covariance, 15, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && dc_motor_unknown_variances(self->mode_filtered_covariance, 15, 2);
+    sound = sound && dc_motor_unknown_between(self->mode_deviation, 5, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_deviation_covariance, 5, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && dc_motor_unknown_between(self->mode_deviation_cross, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && dc_motor_unknown_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1123,6 +1190,8 @@ dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const 
     status = dc_motor_unknown_propagate(&next, u, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
 }

@@ -49,9 +49,9 @@
  *   y[1]  voltage_measured, V
  *
  * Cost of one step with every row present: 1134 floating-point operations and 5 exp and 6 log.
- * An instance is 101 doubles, 808 bytes; nothing else is kept. Tables of constants: 224 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 10656 bytes at -O0, 2976 at -Os.
+ * An instance is 101 doubles and 1 of uint32_t, 816 bytes; nothing else is kept. Tables of
+ * constants: 224 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 10672 bytes at -O0, 2976 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -66,6 +66,7 @@ extern "C" {
 
 #define DC_MOTOR_UNKNOWN_API_VERSION 1
 #define DC_MOTOR_UNKNOWN_SPEC_HASH "aed8d8674f593ab7"
+#define DC_MOTOR_UNKNOWN_MODEL_HASH UINT32_C(0xaed8d867)
 #define DC_MOTOR_UNKNOWN_NX 2
 #define DC_MOTOR_UNKNOWN_NE 2
 #define DC_MOTOR_UNKNOWN_NY 2
@@ -115,8 +116,10 @@ typedef enum
     DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     DC_MOTOR_UNKNOWN_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on
                                                 this target */
-    DC_MOTOR_UNKNOWN_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                           take: predict first */
+    DC_MOTOR_UNKNOWN_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                            take: predict first */
+    DC_MOTOR_UNKNOWN_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                                 model */
 } dc_motor_unknown_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -152,6 +155,8 @@ typedef struct
     double mode_deviation_cross[10]; /**< covariance of gamma[k] minus its mean under each
                                           hypothesis, given y[0..k], with the state */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< DC_MOTOR_UNKNOWN_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } dc_motor_unknown_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -183,6 +188,14 @@ dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, con
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const double u[1],
     const double y[2], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return DC_MOTOR_UNKNOWN_OK, DC_MOTOR_UNKNOWN_NULL_POINTER or DC_MOTOR_UNKNOWN_INVALID_INSTANCE.
+ */
+dc_motor_unknown_status_t dc_motor_unknown_check(const dc_motor_unknown_t *self);
 
 /** Run a recorded example and compare every bit. DC_MOTOR_UNKNOWN_OK if all agree. In
  *  dc_motor_unknown_selftest.c. */

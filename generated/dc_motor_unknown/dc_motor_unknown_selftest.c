@@ -163,6 +163,12 @@ dc_motor_unknown_status_t dc_motor_unknown_selftest(void)
     {
         return DC_MOTOR_UNKNOWN_NULL_POINTER;
     }
+    filter.model ^= 1u; /* an instance of another model */
+    if (dc_motor_unknown_check(&filter) != DC_MOTOR_UNKNOWN_INVALID_INSTANCE)
+    {
+        return DC_MOTOR_UNKNOWN_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < DC_MOTOR_UNKNOWN_NY; ++i)
@@ -192,6 +198,10 @@ dc_motor_unknown_status_t dc_motor_unknown_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = dc_motor_unknown_step(&filter, input[0], y, valid[0]);
     if (status != DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE) { return DC_MOTOR_UNKNOWN_SELFTEST_FAILED; }
+    if (dc_motor_unknown_check(&filter) != DC_MOTOR_UNKNOWN_OK)
+    {
+        return DC_MOTOR_UNKNOWN_SELFTEST_FAILED;
+    }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

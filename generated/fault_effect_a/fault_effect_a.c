@@ -364,6 +364,8 @@ fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const doubl
     next.nis = 0.0;
     next.log_likelihood = 0.0;
     next.updated = 0.0;
+    next.model = FAULT_EFFECT_A_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return FAULT_EFFECT_A_OK;
 }
@@ -371,6 +373,56 @@ fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const doubl
 fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
 {
     return fault_effect_a_start(self, fault_effect_a_x_0, fault_effect_a_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int fault_effect_a_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int fault_effect_a_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+fault_effect_a_status_t fault_effect_a_check(const fault_effect_a_t *self)
+{
+    int sound;
+    if (self == NULL) { return FAULT_EFFECT_A_NULL_POINTER; }
+    sound = self->model == FAULT_EFFECT_A_MODEL_HASH;
+    sound = sound && fault_effect_a_between(self->predicted_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_between(self->predicted_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_variances(self->predicted_covariance, 6, 3);
+    sound = sound && fault_effect_a_between(self->filtered_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_between(self->filtered_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_variances(self->filtered_covariance, 6, 3);
+    sound = sound && fault_effect_a_between(self->innovation, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_between(self->innovation_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_variances(self->innovation_covariance, 3, 2);
+    sound = sound && fault_effect_a_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && fault_effect_a_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -434,6 +486,8 @@ static fault_effect_a_status_t fault_effect_a_first(fault_effect_a_t *self, cons
     status = fault_effect_a_propagate(&next, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -448,6 +502,8 @@ static fault_effect_a_status_t fault_effect_a_again(fault_effect_a_t *self, cons
     status = fault_effect_a_propagate(&next, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

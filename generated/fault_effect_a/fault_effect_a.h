@@ -42,9 +42,9 @@
  *   y[1]  Y2
  *
  * Cost of one step with every row present: 119 floating-point operations and 1 log.
- * An instance is 26 doubles, 208 bytes; nothing else is kept. Tables of constants: 80 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1648 bytes at -O0, 768 at -Os.
+ * An instance is 26 doubles and 1 of uint32_t, 216 bytes; nothing else is kept. Tables of
+ * constants: 80 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 1664 bytes at -O0, 768 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -59,6 +59,7 @@ extern "C" {
 
 #define FAULT_EFFECT_A_API_VERSION 1
 #define FAULT_EFFECT_A_SPEC_HASH "5f93bdc598e0c10a"
+#define FAULT_EFFECT_A_MODEL_HASH UINT32_C(0x5f93bdc5)
 #define FAULT_EFFECT_A_NX 3
 #define FAULT_EFFECT_A_NE 3
 #define FAULT_EFFECT_A_NY 2
@@ -106,8 +107,10 @@ typedef enum
     FAULT_EFFECT_A_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     FAULT_EFFECT_A_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                               target */
-    FAULT_EFFECT_A_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                         take: predict first */
+    FAULT_EFFECT_A_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                          take: predict first */
+    FAULT_EFFECT_A_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                               model */
 } fault_effect_a_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -124,6 +127,8 @@ typedef struct
     double nis; /**< normalised innovation squared over the rows present */
     double log_likelihood; /**< log density of the rows present given y[0..k-1] */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< FAULT_EFFECT_A_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } fault_effect_a_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -155,6 +160,14 @@ fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const dou
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return FAULT_EFFECT_A_OK, FAULT_EFFECT_A_NULL_POINTER or FAULT_EFFECT_A_INVALID_INSTANCE.
+ */
+fault_effect_a_status_t fault_effect_a_check(const fault_effect_a_t *self);
 
 /** Run a recorded example and compare every bit. FAULT_EFFECT_A_OK if all agree. In
  *  fault_effect_a_selftest.c. */

@@ -121,6 +121,12 @@ fault_effect_a_status_t fault_effect_a_selftest(void)
     fault_effect_a_status_t status;
     int k, i;
     if (fault_effect_a_init(&filter) != FAULT_EFFECT_A_OK) { return FAULT_EFFECT_A_NULL_POINTER; }
+    filter.model ^= 1u; /* an instance of another model */
+    if (fault_effect_a_check(&filter) != FAULT_EFFECT_A_INVALID_INSTANCE)
+    {
+        return FAULT_EFFECT_A_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < FAULT_EFFECT_A_NY; ++i)
@@ -150,6 +156,10 @@ fault_effect_a_status_t fault_effect_a_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = fault_effect_a_step(&filter, input[0], y, valid[0]);
     if (status != FAULT_EFFECT_A_INPUT_NOT_FINITE) { return FAULT_EFFECT_A_SELFTEST_FAILED; }
+    if (fault_effect_a_check(&filter) != FAULT_EFFECT_A_OK)
+    {
+        return FAULT_EFFECT_A_SELFTEST_FAILED;
+    }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -1363,6 +1363,8 @@ gps_glitch_status_t gps_glitch_start(gps_glitch_t *self, const double x[3], cons
     gps_glitch_fill(next.mode_filtered_state, 12, x, 3);
     gps_glitch_fill(next.mode_filtered_covariance, 24, P, 6);
     next.updated = 0.0;
+    next.model = GPS_GLITCH_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return GPS_GLITCH_OK;
 }
@@ -1377,6 +1379,66 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
     if (params == NULL) { return GPS_GLITCH_NULL_POINTER; }
     params->dt = 0.027;
     return GPS_GLITCH_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int gps_glitch_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int gps_glitch_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+gps_glitch_status_t gps_glitch_check(const gps_glitch_t *self)
+{
+    int sound;
+    if (self == NULL) { return GPS_GLITCH_NULL_POINTER; }
+    sound = self->model == GPS_GLITCH_MODEL_HASH;
+    sound = sound && gps_glitch_between(self->predicted_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->predicted_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_variances(self->predicted_covariance, 6, 3);
+    sound = sound && gps_glitch_between(self->filtered_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->filtered_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_variances(self->filtered_covariance, 6, 3);
+    sound = sound && gps_glitch_between(self->innovation, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->innovation_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_variances(self->innovation_covariance, 6, 3);
+    sound = sound && gps_glitch_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->mode_probability, 4, 0.0, 1.00001);
+    sound = sound && gps_glitch_between(self->predicted_mode_probability, 4, 0.0, 1.00001);
+    sound = sound && gps_glitch_between(self->log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->predicted_log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->mode_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->mode_covariance, 24, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_variances(self->mode_covariance, 24, 3);
+    sound = sound && gps_glitch_between(self->mode_filtered_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_between(self->mode_filtered_covariance, 24, -DBL_MAX, DBL_MAX);
+    sound = sound && gps_glitch_variances(self->mode_filtered_covariance, 24, 3);
+    sound = sound && gps_glitch_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? GPS_GLITCH_OK : GPS_GLITCH_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1448,6 +1510,8 @@ static gps_glitch_status_t gps_glitch_first(gps_glitch_t *self, const double *y,
     status = gps_glitch_propagate(&next, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -1462,6 +1526,8 @@ static gps_glitch_status_t gps_glitch_again(gps_glitch_t *self, const double *y,
     status = gps_glitch_propagate(&next, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -48,9 +48,9 @@
  *   y[2]  gps_climb, m/s
  *
  * Cost of one step with every row present: 1433 floating-point operations and 8 exp and 9 log.
- * An instance is 118 doubles, 944 bytes; nothing else is kept. Tables of constants: 368 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 19616 bytes at -O0, 4352 at -Os.
+ * An instance is 118 doubles and 1 of uint32_t, 952 bytes; nothing else is kept. Tables of
+ * constants: 368 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 19632 bytes at -O0, 4368 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -65,6 +65,7 @@ extern "C" {
 
 #define GPS_GLITCH_API_VERSION 1
 #define GPS_GLITCH_SPEC_HASH "2287aac5afc5e0e5"
+#define GPS_GLITCH_MODEL_HASH UINT32_C(0x2287aac5)
 #define GPS_GLITCH_NX 3
 #define GPS_GLITCH_NE 3
 #define GPS_GLITCH_NY 3
@@ -109,8 +110,9 @@ typedef enum
     GPS_GLITCH_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     GPS_GLITCH_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                           target */
-    GPS_GLITCH_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                     predict first */
+    GPS_GLITCH_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                      predict first */
+    GPS_GLITCH_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } gps_glitch_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -145,6 +147,8 @@ typedef struct
     double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3),
                                               [m, m/s, m] squared */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< GPS_GLITCH_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } gps_glitch_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or gps_glitch_start(),
@@ -177,6 +181,14 @@ gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_para
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return GPS_GLITCH_OK, GPS_GLITCH_NULL_POINTER or GPS_GLITCH_INVALID_INSTANCE.
+ */
+gps_glitch_status_t gps_glitch_check(const gps_glitch_t *self);
 
 /** Run a recorded example and compare every bit. GPS_GLITCH_OK if all agree. In
  *  gps_glitch_selftest.c. */

@@ -149,6 +149,12 @@ gps_glitch_status_t gps_glitch_selftest(void)
     int k, i;
     if (gps_glitch_init(&filter) != GPS_GLITCH_OK) { return GPS_GLITCH_NULL_POINTER; }
     (void)gps_glitch_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (gps_glitch_check(&filter) != GPS_GLITCH_INVALID_INSTANCE)
+    {
+        return GPS_GLITCH_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < GPS_GLITCH_NY; ++i)
@@ -178,6 +184,7 @@ gps_glitch_status_t gps_glitch_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = gps_glitch_step(&filter, &params, y, valid[0]);
     if (status != GPS_GLITCH_INPUT_NOT_FINITE) { return GPS_GLITCH_SELFTEST_FAILED; }
+    if (gps_glitch_check(&filter) != GPS_GLITCH_OK) { return GPS_GLITCH_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return GPS_GLITCH_SELFTEST_FAILED; }

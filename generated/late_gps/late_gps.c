@@ -1406,6 +1406,8 @@ late_gps_status_t late_gps_start(late_gps_t *self, const double x[4], const doub
     late_gps_fill(next.past_delay, 36, late_gps_past_delay_0, 1);
     late_gps_fill(next.past_parameters, 9, late_gps_zero_0, 1);
     next.updated = 0.0;
+    next.model = LATE_GPS_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return LATE_GPS_OK;
 }
@@ -1424,6 +1426,66 @@ late_gps_status_t late_gps_params_init(late_gps_params_t *params)
     params->delay_gps_v_east = 0.0;
     params->delay_gps_v_north = 0.0;
     return LATE_GPS_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int late_gps_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int late_gps_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+late_gps_status_t late_gps_check(const late_gps_t *self)
+{
+    int sound;
+    if (self == NULL) { return LATE_GPS_NULL_POINTER; }
+    sound = self->model == LATE_GPS_MODEL_HASH;
+    sound = sound && late_gps_between(self->predicted_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->predicted_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_variances(self->predicted_covariance, 10, 4);
+    sound = sound && late_gps_between(self->filtered_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->filtered_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_variances(self->filtered_covariance, 10, 4);
+    sound = sound && late_gps_between(self->innovation, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->innovation_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_variances(self->innovation_covariance, 10, 4);
+    sound = sound && late_gps_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->counted, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->nothing_counted, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->predicted_samples_before, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->samples_before, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->past_state, 36, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->past_covariance, 90, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_variances(self->past_covariance, 90, 4);
+    sound = sound && late_gps_between(self->past_rows, 36, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->past_delay, 36, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->past_parameters, 9, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? LATE_GPS_OK : LATE_GPS_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1511,6 +1573,8 @@ late_gps_status_t late_gps_step(late_gps_t *self, const late_gps_params_t *param
     status = late_gps_propagate(&next, params, &next);
     if (status != LATE_GPS_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? ((self->nothing_counted > 0.5) ? LATE_GPS_SKIPPED : LATE_GPS_OK)
         : LATE_GPS_SKIPPED;

@@ -46,9 +46,9 @@
  *   y[3]  gps_v_north, m/s
  *
  * Cost of one step with every row present: 34122 floating-point operations and 4 floor and 5 log.
- * An instance is 259 doubles, 2072 bytes; nothing else is kept. Tables of constants: 128 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 13024 bytes at -O0, 4720 at -Os.
+ * An instance is 259 doubles and 1 of uint32_t, 2080 bytes; nothing else is kept. Tables of
+ * constants: 128 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 13040 bytes at -O0, 4736 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -63,6 +63,7 @@ extern "C" {
 
 #define LATE_GPS_API_VERSION 1
 #define LATE_GPS_SPEC_HASH "a7ca02f821054861"
+#define LATE_GPS_MODEL_HASH UINT32_C(0xa7ca02f8)
 #define LATE_GPS_NX 4
 #define LATE_GPS_NE 4
 #define LATE_GPS_NY 4
@@ -109,8 +110,9 @@ typedef enum
     LATE_GPS_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     LATE_GPS_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                         target */
-    LATE_GPS_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                   predict first */
+    LATE_GPS_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                    predict first */
+    LATE_GPS_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } late_gps_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -162,6 +164,8 @@ typedef struct
     double past_parameters[9]; /**< parameters of this sample and the last ones, the latest first
                                     (9 x 1) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< LATE_GPS_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } late_gps_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or late_gps_start(),
@@ -194,6 +198,14 @@ late_gps_status_t late_gps_predict(late_gps_t *self, const late_gps_params_t *pa
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 late_gps_status_t late_gps_step(late_gps_t *self, const late_gps_params_t *params,
     const double y[4], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return LATE_GPS_OK, LATE_GPS_NULL_POINTER or LATE_GPS_INVALID_INSTANCE.
+ */
+late_gps_status_t late_gps_check(const late_gps_t *self);
 
 /** Run a recorded example and compare every bit. LATE_GPS_OK if all agree. In
  *  late_gps_selftest.c. */

@@ -156,6 +156,9 @@ late_gps_status_t late_gps_selftest(void)
     int k, i;
     if (late_gps_init(&filter) != LATE_GPS_OK) { return LATE_GPS_NULL_POINTER; }
     (void)late_gps_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (late_gps_check(&filter) != LATE_GPS_INVALID_INSTANCE) { return LATE_GPS_SELFTEST_FAILED; }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < LATE_GPS_NY; ++i)
@@ -185,6 +188,7 @@ late_gps_status_t late_gps_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = late_gps_step(&filter, &params, y, valid[0]);
     if (status != LATE_GPS_INPUT_NOT_FINITE) { return LATE_GPS_SELFTEST_FAILED; }
+    if (late_gps_check(&filter) != LATE_GPS_OK) { return LATE_GPS_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return LATE_GPS_SELFTEST_FAILED; }

@@ -1429,6 +1429,8 @@ markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], c
     markov_jump_fill(next.mode_law, 3, markov_jump_mode_law_0, 3);
     markov_jump_fill(next.predicted_mode_law, 3, markov_jump_mode_law_0, 3);
     next.updated = 0.0;
+    next.model = MARKOV_JUMP_MODEL_HASH;
+    next.unused = 0u;
     status = markov_jump_begin(x, P, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
@@ -1438,6 +1440,74 @@ markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], c
 markov_jump_status_t markov_jump_init(markov_jump_t *self)
 {
     return markov_jump_start(self, markov_jump_x_0, markov_jump_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int markov_jump_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int markov_jump_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+markov_jump_status_t markov_jump_check(const markov_jump_t *self)
+{
+    int sound;
+    if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
+    sound = self->model == MARKOV_JUMP_MODEL_HASH;
+    sound = sound && markov_jump_between(self->predicted_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->predicted_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->predicted_covariance, 6, 3);
+    sound = sound && markov_jump_between(self->filtered_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->filtered_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->filtered_covariance, 6, 3);
+    sound = sound && markov_jump_between(self->innovation, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->innovation_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->innovation_covariance, 1, 1);
+    sound = sound && markov_jump_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->fault_declared, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->test_statistic, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->test_threshold, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->test_dof, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(&self->consecutive_rejections, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->mode_law, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->predicted_mode_law, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->augmented_state, 9, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->augmented_filtered_state, 9, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_between(self->augmented_covariance, 45, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->augmented_covariance, 45, 9);
+    sound = sound && markov_jump_between(self->augmented_filtered_covariance, 45, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && markov_jump_variances(self->augmented_filtered_covariance, 45, 9);
+    sound = sound && markov_jump_between(self->mode_second_moment, 18, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->mode_second_moment, 18, 3);
+    sound = sound && markov_jump_between(self->predicted_mode_second_moment, 18, -DBL_MAX, DBL_MAX);
+    sound = sound && markov_jump_variances(self->predicted_mode_second_moment, 18, 3);
+    sound = sound && markov_jump_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? MARKOV_JUMP_OK : MARKOV_JUMP_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1523,6 +1593,8 @@ markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], ui
     status = markov_jump_propagate(&next, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
         : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))

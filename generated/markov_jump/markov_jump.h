@@ -63,9 +63,9 @@
  *   y[0]  measured_position, m
  *
  * Cost of one step with every row present: 1302 floating-point operations and 3 log.
- * An instance is 178 doubles, 1424 bytes; nothing else is kept. Tables of constants: 648 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 15280 bytes at -O0, 5024 at -Os.
+ * An instance is 178 doubles and 1 of uint32_t, 1432 bytes; nothing else is kept. Tables of
+ * constants: 648 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 15312 bytes at -O0, 5024 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -80,6 +80,7 @@ extern "C" {
 
 #define MARKOV_JUMP_API_VERSION 1
 #define MARKOV_JUMP_SPEC_HASH "05ec54432ede3087"
+#define MARKOV_JUMP_MODEL_HASH UINT32_C(0x05ec5443)
 #define MARKOV_JUMP_NX 3
 #define MARKOV_JUMP_NE 3
 #define MARKOV_JUMP_NY 1
@@ -123,8 +124,9 @@ typedef enum
     MARKOV_JUMP_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     MARKOV_JUMP_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                            target */
-    MARKOV_JUMP_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                      predict first */
+    MARKOV_JUMP_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                       take: predict first */
+    MARKOV_JUMP_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } markov_jump_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -161,6 +163,8 @@ typedef struct
     double predicted_mode_second_moment[18]; /**< E[x x' 1{mode}] at k+1, unconditional
                                                   (3 x symmetric 3 x 3) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< MARKOV_JUMP_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } markov_jump_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or markov_jump_start(),
@@ -188,6 +192,14 @@ markov_jump_status_t markov_jump_predict(markov_jump_t *self);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return MARKOV_JUMP_OK, MARKOV_JUMP_NULL_POINTER or MARKOV_JUMP_INVALID_INSTANCE.
+ */
+markov_jump_status_t markov_jump_check(const markov_jump_t *self);
 
 /** Run a recorded example and compare every bit. MARKOV_JUMP_OK if all agree. In
  *  markov_jump_selftest.c. */

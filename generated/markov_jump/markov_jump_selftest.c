@@ -172,6 +172,12 @@ markov_jump_status_t markov_jump_selftest(void)
     markov_jump_status_t status;
     int k, i;
     if (markov_jump_init(&filter) != MARKOV_JUMP_OK) { return MARKOV_JUMP_NULL_POINTER; }
+    filter.model ^= 1u; /* an instance of another model */
+    if (markov_jump_check(&filter) != MARKOV_JUMP_INVALID_INSTANCE)
+    {
+        return MARKOV_JUMP_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < MARKOV_JUMP_NY; ++i)
@@ -201,6 +207,7 @@ markov_jump_status_t markov_jump_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = markov_jump_step(&filter, y, valid[0]);
     if (status != MARKOV_JUMP_INPUT_NOT_FINITE) { return MARKOV_JUMP_SELFTEST_FAILED; }
+    if (markov_jump_check(&filter) != MARKOV_JUMP_OK) { return MARKOV_JUMP_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -505,6 +505,7 @@ motor_status_t motor_start(motor_t *self, const float x[2], const float P[3])
     motor_fill(next.filtered_gain, 2, motor_zero_0, 1);
     motor_fill(next.rejected_rows, 1, motor_zero_0, 1);
     next.updated = 0.0f;
+    next.model = MOTOR_MODEL_HASH;
     status = motor_begin(P, &next);
     if (status != MOTOR_OK) { return status; }
     motor_mark(&next);
@@ -515,6 +516,63 @@ motor_status_t motor_start(motor_t *self, const float x[2], const float P[3])
 motor_status_t motor_init(motor_t *self)
 {
     return motor_start(self, motor_x_0, motor_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int motor_between(const float *values, int size, float least, float largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int motor_variances(const float *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0f) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+motor_status_t motor_check(const motor_t *self)
+{
+    int sound;
+    if (self == NULL) { return MOTOR_NULL_POINTER; }
+    sound = self->model == MOTOR_MODEL_HASH;
+    sound = sound && motor_between(self->predicted_factors, 3, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_variances(self->predicted_factors, 3, 2);
+    sound = sound && motor_between(self->filtered_factors, 3, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_variances(self->filtered_factors, 3, 2);
+    sound = sound && motor_between(self->predicted_state, 2, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->predicted_covariance, 3, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_variances(self->predicted_covariance, 3, 2);
+    sound = sound && motor_between(self->filtered_state, 2, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->filtered_covariance, 3, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_variances(self->filtered_covariance, 3, 2);
+    sound = sound && motor_between(self->innovation, 1, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->innovation_covariance, 1, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_variances(self->innovation_covariance, 1, 1);
+    sound = sound && motor_between(&self->nis, 1, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(&self->log_likelihood, 1, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->gain, 2, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->filtered_gain, 2, -FLT_MAX, FLT_MAX);
+    sound = sound && motor_between(self->rejected_rows, 1, 0.0f, 1.00001f);
+    sound = sound && motor_between(&self->updated, 1, 0.0f, 1.00001f);
+    return sound ? MOTOR_OK : MOTOR_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -580,6 +638,7 @@ static motor_status_t motor_first(motor_t *self, const float *y, uint32_t presen
     status = motor_propagate(&next, u, &next);
     if (status != MOTOR_OK) { return status; }
     next.updated = 0.0f;
+    next.model = self->model;
     motor_mark(&next);
     *self = next;
     return status;
@@ -595,6 +654,7 @@ static motor_status_t motor_again(motor_t *self, const float *y, uint32_t presen
     status = motor_propagate(&next, u, &next);
     if (status != MOTOR_OK) { return status; }
     next.updated = 0.0f;
+    next.model = self->model;
     motor_mark(&next);
     *self = next;
     return status;

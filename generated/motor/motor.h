@@ -42,9 +42,9 @@
  * bit.
  *
  * Cost of one step with every row present: 111 floating-point operations and 1 log and 4 sqrt.
- * An instance is 26 floats and 1 of uint32_t, 108 bytes; nothing else is kept. Tables of constants:
+ * An instance is 26 floats and 2 of uint32_t, 112 bytes; nothing else is kept. Tables of constants:
  * 24 bytes. No heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1600 bytes at -O0, 752 at -Os.
+ * Stack of one call, interrupts left out: at most 1616 bytes at -O0, 752 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -59,6 +59,7 @@ extern "C" {
 
 #define MOTOR_API_VERSION 1
 #define MOTOR_SPEC_HASH "134a64ee2efbf41c"
+#define MOTOR_MODEL_HASH UINT32_C(0x134a64ee)
 #define MOTOR_NX 2
 #define MOTOR_NE 2
 #define MOTOR_NY 1
@@ -106,7 +107,8 @@ typedef enum
     MOTOR_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this target */
     MOTOR_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
                                  predict first */
-    MOTOR_INPUT_OUT_OF_RANGE = -9 /**< u, or a mean to start from, lies outside of its range */
+    MOTOR_INPUT_OUT_OF_RANGE = -9, /**< u, or a mean to start from, lies outside of its range */
+    MOTOR_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } motor_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -135,6 +137,7 @@ typedef struct
     float rejected_rows[1]; /**< rows of y[k] that were outside of their range */
     float updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
     uint32_t rejected; /**< rows of y[k] that were outside of their range: bit i, as in `valid` */
+    uint32_t model; /**< MOTOR_MODEL_HASH, set by a start */
 } motor_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or motor_start(), before
@@ -163,6 +166,14 @@ motor_status_t motor_predict(motor_t *self, const float u[1]);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 motor_status_t motor_step(motor_t *self, const float u[1], const float y[1], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return MOTOR_OK, MOTOR_NULL_POINTER or MOTOR_INVALID_INSTANCE.
+ */
+motor_status_t motor_check(const motor_t *self);
 
 /** Run a recorded example and compare every bit. MOTOR_OK if all agree. In motor_selftest.c. */
 motor_status_t motor_selftest(void);

@@ -131,6 +131,9 @@ motor_status_t motor_selftest(void)
     motor_status_t status;
     int k, i;
     if (motor_init(&filter) != MOTOR_OK) { return MOTOR_NULL_POINTER; }
+    filter.model ^= 1u; /* an instance of another model */
+    if (motor_check(&filter) != MOTOR_INVALID_INSTANCE) { return MOTOR_SELFTEST_FAILED; }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < MOTOR_NY; ++i)
@@ -157,6 +160,7 @@ motor_status_t motor_selftest(void)
     status = motor_step(&filter, input[0], y, valid[0]);
     if (status != MOTOR_INPUT_NOT_FINITE) { return MOTOR_SELFTEST_FAILED; }
     if (filter.rejected != 0x1u) { return MOTOR_SELFTEST_FAILED; }
+    if (motor_check(&filter) != MOTOR_OK) { return MOTOR_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return MOTOR_SELFTEST_FAILED; }

@@ -259,6 +259,8 @@ nile_status_t nile_start(nile_t *self, const double x[1], const double P[1])
     next.nis = 0.0;
     next.log_likelihood = 0.0;
     next.updated = 0.0;
+    next.model = NILE_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return NILE_OK;
 }
@@ -274,6 +276,56 @@ nile_status_t nile_params_init(nile_params_t *params)
     params->level_variance = 1000.0;
     params->flow_variance = 10000.0;
     return NILE_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int nile_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int nile_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+nile_status_t nile_check(const nile_t *self)
+{
+    int sound;
+    if (self == NULL) { return NILE_NULL_POINTER; }
+    sound = self->model == NILE_MODEL_HASH;
+    sound = sound && nile_between(self->predicted_state, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_between(self->predicted_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_variances(self->predicted_covariance, 1, 1);
+    sound = sound && nile_between(self->filtered_state, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_between(self->filtered_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_variances(self->filtered_covariance, 1, 1);
+    sound = sound && nile_between(self->innovation, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_between(self->innovation_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_variances(self->innovation_covariance, 1, 1);
+    sound = sound && nile_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && nile_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? NILE_OK : NILE_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -336,6 +388,8 @@ static nile_status_t nile_first(nile_t *self, const nile_params_t *params, const
     status = nile_propagate(&next, params, &next);
     if (status != NILE_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -350,6 +404,8 @@ static nile_status_t nile_again(nile_t *self, const nile_params_t *params, const
     status = nile_propagate(&next, params, &next);
     if (status != NILE_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -112,6 +112,9 @@ nile_status_t nile_selftest(void)
     int k, i;
     if (nile_init(&filter) != NILE_OK) { return NILE_NULL_POINTER; }
     (void)nile_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (nile_check(&filter) != NILE_INVALID_INSTANCE) { return NILE_SELFTEST_FAILED; }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < NILE_NY; ++i)
@@ -138,6 +141,7 @@ nile_status_t nile_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = nile_step(&filter, &params, y, valid[0]);
     if (status != NILE_INPUT_NOT_FINITE) { return NILE_SELFTEST_FAILED; }
+    if (nile_check(&filter) != NILE_OK) { return NILE_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return NILE_SELFTEST_FAILED; }

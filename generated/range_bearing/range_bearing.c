@@ -1869,6 +1869,8 @@ range_bearing_status_t range_bearing_start(range_bearing_t *self, const double x
     range_bearing_fill(next.mode_filtered_state, 12, x, 3);
     range_bearing_fill(next.mode_filtered_covariance, 24, P, 6);
     next.updated = 0.0;
+    next.model = RANGE_BEARING_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return RANGE_BEARING_OK;
 }
@@ -1876,6 +1878,66 @@ range_bearing_status_t range_bearing_start(range_bearing_t *self, const double x
 range_bearing_status_t range_bearing_init(range_bearing_t *self)
 {
     return range_bearing_start(self, range_bearing_x_0, range_bearing_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int range_bearing_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int range_bearing_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+range_bearing_status_t range_bearing_check(const range_bearing_t *self)
+{
+    int sound;
+    if (self == NULL) { return RANGE_BEARING_NULL_POINTER; }
+    sound = self->model == RANGE_BEARING_MODEL_HASH;
+    sound = sound && range_bearing_between(self->predicted_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->predicted_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_variances(self->predicted_covariance, 6, 3);
+    sound = sound && range_bearing_between(self->filtered_state, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->filtered_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_variances(self->filtered_covariance, 6, 3);
+    sound = sound && range_bearing_between(self->innovation, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->innovation_covariance, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_variances(self->innovation_covariance, 6, 3);
+    sound = sound && range_bearing_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->mode_probability, 4, 0.0, 1.00001);
+    sound = sound && range_bearing_between(self->predicted_mode_probability, 4, 0.0, 1.00001);
+    sound = sound && range_bearing_between(self->log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->predicted_log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->mode_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->mode_covariance, 24, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_variances(self->mode_covariance, 24, 3);
+    sound = sound && range_bearing_between(self->mode_filtered_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_between(self->mode_filtered_covariance, 24, -DBL_MAX, DBL_MAX);
+    sound = sound && range_bearing_variances(self->mode_filtered_covariance, 24, 3);
+    sound = sound && range_bearing_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? RANGE_BEARING_OK : RANGE_BEARING_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1947,6 +2009,8 @@ static range_bearing_status_t range_bearing_first(range_bearing_t *self, const d
     status = range_bearing_propagate(&next, u, &next);
     if (status != RANGE_BEARING_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -1961,6 +2025,8 @@ static range_bearing_status_t range_bearing_again(range_bearing_t *self, const d
     status = range_bearing_propagate(&next, u, &next);
     if (status != RANGE_BEARING_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

@@ -51,9 +51,9 @@
  *
  * Cost of one step with every row present: 1578 floating-point operations and 4 atan2 and 2 cos and
  * 4 exp and 29 floor and 2 hypot and 7 log and 2 sin.
- * An instance is 118 doubles, 944 bytes; nothing else is kept. Tables of constants: 224 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 20208 bytes at -O0, 4880 at -Os.
+ * An instance is 118 doubles and 1 of uint32_t, 952 bytes; nothing else is kept. Tables of
+ * constants: 224 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 20224 bytes at -O0, 4880 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -68,6 +68,7 @@ extern "C" {
 
 #define RANGE_BEARING_API_VERSION 1
 #define RANGE_BEARING_SPEC_HASH "0d1cb4a4ab42ef9c"
+#define RANGE_BEARING_MODEL_HASH UINT32_C(0x0d1cb4a4)
 #define RANGE_BEARING_NX 3
 #define RANGE_BEARING_NE 3
 #define RANGE_BEARING_NY 3
@@ -119,8 +120,10 @@ typedef enum
     RANGE_BEARING_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     RANGE_BEARING_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                              target */
-    RANGE_BEARING_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                        take: predict first */
+    RANGE_BEARING_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                         take: predict first */
+    RANGE_BEARING_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                              model */
 } range_bearing_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -150,6 +153,8 @@ typedef struct
     double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3),
                                               [m, m, rad] squared */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< RANGE_BEARING_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } range_bearing_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -181,6 +186,14 @@ range_bearing_status_t range_bearing_predict(range_bearing_t *self, const double
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 range_bearing_status_t range_bearing_step(range_bearing_t *self, const double u[2],
     const double y[3], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return RANGE_BEARING_OK, RANGE_BEARING_NULL_POINTER or RANGE_BEARING_INVALID_INSTANCE.
+ */
+range_bearing_status_t range_bearing_check(const range_bearing_t *self);
 
 /** Run a recorded example and compare every bit. RANGE_BEARING_OK if all agree. In
  *  range_bearing_selftest.c. */

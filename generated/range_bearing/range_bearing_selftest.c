@@ -156,6 +156,12 @@ range_bearing_status_t range_bearing_selftest(void)
     range_bearing_status_t status;
     int k, i;
     if (range_bearing_init(&filter) != RANGE_BEARING_OK) { return RANGE_BEARING_NULL_POINTER; }
+    filter.model ^= 1u; /* an instance of another model */
+    if (range_bearing_check(&filter) != RANGE_BEARING_INVALID_INSTANCE)
+    {
+        return RANGE_BEARING_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < RANGE_BEARING_NY; ++i)
@@ -185,6 +191,7 @@ range_bearing_status_t range_bearing_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = range_bearing_step(&filter, input[0], y, valid[0]);
     if (status != RANGE_BEARING_INPUT_NOT_FINITE) { return RANGE_BEARING_SELFTEST_FAILED; }
+    if (range_bearing_check(&filter) != RANGE_BEARING_OK) { return RANGE_BEARING_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -546,6 +546,8 @@ sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const do
     sensor_faults_2_fill(next.log_weight, 4, sensor_faults_2_log_weight_0, 4);
     sensor_faults_2_fill(next.predicted_log_weight, 4, sensor_faults_2_log_weight_0, 4);
     next.updated = 0.0;
+    next.model = SENSOR_FAULTS_2_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return SENSOR_FAULTS_2_OK;
 }
@@ -553,6 +555,60 @@ sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const do
 sensor_faults_2_status_t sensor_faults_2_init(sensor_faults_2_t *self)
 {
     return sensor_faults_2_start(self, sensor_faults_2_x_0, sensor_faults_2_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int sensor_faults_2_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int sensor_faults_2_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+sensor_faults_2_status_t sensor_faults_2_check(const sensor_faults_2_t *self)
+{
+    int sound;
+    if (self == NULL) { return SENSOR_FAULTS_2_NULL_POINTER; }
+    sound = self->model == SENSOR_FAULTS_2_MODEL_HASH;
+    sound = sound && sensor_faults_2_between(self->predicted_state, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(self->predicted_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_variances(self->predicted_covariance, 1, 1);
+    sound = sound && sensor_faults_2_between(self->filtered_state, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(self->filtered_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_variances(self->filtered_covariance, 1, 1);
+    sound = sound && sensor_faults_2_between(self->innovation, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(self->innovation_covariance, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_variances(self->innovation_covariance, 1, 1);
+    sound = sound && sensor_faults_2_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(self->mode_probability, 4, 0.0, 1.00001);
+    sound = sound && sensor_faults_2_between(self->predicted_mode_probability, 4, 0.0, 1.00001);
+    sound = sound && sensor_faults_2_between(self->log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(self->predicted_log_weight, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && sensor_faults_2_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? SENSOR_FAULTS_2_OK : SENSOR_FAULTS_2_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -643,6 +699,8 @@ sensor_faults_2_status_t sensor_faults_2_step(sensor_faults_2_t *self, const dou
     status = sensor_faults_2_propagate(&next, &next);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_2_OK : SENSOR_FAULTS_2_SKIPPED;
 }

@@ -38,9 +38,9 @@
  *   y[0]  y0
  *
  * Cost of one step with every row present: 148 floating-point operations and 4 exp and 5 log.
- * An instance is 25 doubles, 200 bytes; nothing else is kept. Tables of constants: 104 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2496 bytes at -O0, 1056 at -Os.
+ * An instance is 25 doubles and 1 of uint32_t, 208 bytes; nothing else is kept. Tables of
+ * constants: 104 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2512 bytes at -O0, 1056 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -55,6 +55,7 @@ extern "C" {
 
 #define SENSOR_FAULTS_2_API_VERSION 1
 #define SENSOR_FAULTS_2_SPEC_HASH "84480e0e82fc28e7"
+#define SENSOR_FAULTS_2_MODEL_HASH UINT32_C(0x84480e0e)
 #define SENSOR_FAULTS_2_NX 1
 #define SENSOR_FAULTS_2_NE 1
 #define SENSOR_FAULTS_2_NY 1
@@ -95,8 +96,10 @@ typedef enum
     SENSOR_FAULTS_2_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SENSOR_FAULTS_2_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                                target */
-    SENSOR_FAULTS_2_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                          take: predict first */
+    SENSOR_FAULTS_2_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                           take: predict first */
+    SENSOR_FAULTS_2_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                                model */
 } sensor_faults_2_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -117,6 +120,8 @@ typedef struct
     double log_weight[4]; /**< logarithm of mode_probability */
     double predicted_log_weight[4]; /**< logarithm of predicted_mode_probability */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< SENSOR_FAULTS_2_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } sensor_faults_2_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -147,6 +152,14 @@ sensor_faults_2_status_t sensor_faults_2_predict(sensor_faults_2_t *self);
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 sensor_faults_2_status_t sensor_faults_2_step(sensor_faults_2_t *self, const double y[1],
     uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return SENSOR_FAULTS_2_OK, SENSOR_FAULTS_2_NULL_POINTER or SENSOR_FAULTS_2_INVALID_INSTANCE.
+ */
+sensor_faults_2_status_t sensor_faults_2_check(const sensor_faults_2_t *self);
 
 /** Run a recorded example and compare every bit. SENSOR_FAULTS_2_OK if all agree. In
  *  sensor_faults_2_selftest.c. */

@@ -123,6 +123,12 @@ sensor_faults_2_status_t sensor_faults_2_selftest(void)
     {
         return SENSOR_FAULTS_2_NULL_POINTER;
     }
+    filter.model ^= 1u; /* an instance of another model */
+    if (sensor_faults_2_check(&filter) != SENSOR_FAULTS_2_INVALID_INSTANCE)
+    {
+        return SENSOR_FAULTS_2_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < SENSOR_FAULTS_2_NY; ++i)
@@ -152,6 +158,10 @@ sensor_faults_2_status_t sensor_faults_2_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = sensor_faults_2_step(&filter, y, valid[0]);
     if (status != SENSOR_FAULTS_2_INPUT_NOT_FINITE) { return SENSOR_FAULTS_2_SELFTEST_FAILED; }
+    if (sensor_faults_2_check(&filter) != SENSOR_FAULTS_2_OK)
+    {
+        return SENSOR_FAULTS_2_SELFTEST_FAILED;
+    }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -1569,6 +1569,8 @@ ship_track_status_t ship_track_start(ship_track_t *self, const double x[4], cons
     ship_track_fill(next.mode_filtered_state, 12, x, 4);
     ship_track_fill(next.mode_filtered_covariance, 30, P, 10);
     next.updated = 0.0;
+    next.model = SHIP_TRACK_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return SHIP_TRACK_OK;
 }
@@ -1584,6 +1586,66 @@ ship_track_status_t ship_track_params_init(ship_track_params_t *params)
     params->dt = 2.5;
     params->turn = 0.01745;
     return SHIP_TRACK_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int ship_track_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int ship_track_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+ship_track_status_t ship_track_check(const ship_track_t *self)
+{
+    int sound;
+    if (self == NULL) { return SHIP_TRACK_NULL_POINTER; }
+    sound = self->model == SHIP_TRACK_MODEL_HASH;
+    sound = sound && ship_track_between(self->predicted_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->predicted_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_variances(self->predicted_covariance, 10, 4);
+    sound = sound && ship_track_between(self->filtered_state, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->filtered_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_variances(self->filtered_covariance, 10, 4);
+    sound = sound && ship_track_between(self->innovation, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->innovation_covariance, 10, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_variances(self->innovation_covariance, 10, 4);
+    sound = sound && ship_track_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->mode_probability, 3, 0.0, 1.00001);
+    sound = sound && ship_track_between(self->predicted_mode_probability, 3, 0.0, 1.00001);
+    sound = sound && ship_track_between(self->log_weight, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->predicted_log_weight, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->mode_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->mode_covariance, 30, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_variances(self->mode_covariance, 30, 4);
+    sound = sound && ship_track_between(self->mode_filtered_state, 12, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_between(self->mode_filtered_covariance, 30, -DBL_MAX, DBL_MAX);
+    sound = sound && ship_track_variances(self->mode_filtered_covariance, 30, 4);
+    sound = sound && ship_track_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? SHIP_TRACK_OK : SHIP_TRACK_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -1655,6 +1717,8 @@ static ship_track_status_t ship_track_first(ship_track_t *self, const double *y,
     status = ship_track_propagate(&next, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }
@@ -1669,6 +1733,8 @@ static ship_track_status_t ship_track_again(ship_track_t *self, const double *y,
     status = ship_track_propagate(&next, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return status;
 }

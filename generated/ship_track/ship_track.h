@@ -75,9 +75,9 @@
  *
  * Cost of one step with every row present: 1776 floating-point operations and 1 cos and 7 exp and 7
  * log and 1 sin.
- * An instance is 141 doubles, 1128 bytes; nothing else is kept. Tables of constants: 168 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 19184 bytes at -O0, 5312 at -Os.
+ * An instance is 141 doubles and 1 of uint32_t, 1136 bytes; nothing else is kept. Tables of
+ * constants: 168 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 19216 bytes at -O0, 5312 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -92,6 +92,7 @@ extern "C" {
 
 #define SHIP_TRACK_API_VERSION 1
 #define SHIP_TRACK_SPEC_HASH "a02885879ff3ea97"
+#define SHIP_TRACK_MODEL_HASH UINT32_C(0xa0288587)
 #define SHIP_TRACK_NX 4
 #define SHIP_TRACK_NE 4
 #define SHIP_TRACK_NY 4
@@ -139,8 +140,9 @@ typedef enum
     SHIP_TRACK_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SHIP_TRACK_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                           target */
-    SHIP_TRACK_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
-                                     predict first */
+    SHIP_TRACK_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot take:
+                                      predict first */
+    SHIP_TRACK_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another model */
 } ship_track_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -178,6 +180,8 @@ typedef struct
     double mode_filtered_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4),
                                               [m, m, m/s, m/s] squared */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< SHIP_TRACK_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } ship_track_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or ship_track_start(),
@@ -210,6 +214,14 @@ ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_para
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return SHIP_TRACK_OK, SHIP_TRACK_NULL_POINTER or SHIP_TRACK_INVALID_INSTANCE.
+ */
+ship_track_status_t ship_track_check(const ship_track_t *self);
 
 /** Run a recorded example and compare every bit. SHIP_TRACK_OK if all agree. In
  *  ship_track_selftest.c. */

@@ -156,6 +156,12 @@ ship_track_status_t ship_track_selftest(void)
     int k, i;
     if (ship_track_init(&filter) != SHIP_TRACK_OK) { return SHIP_TRACK_NULL_POINTER; }
     (void)ship_track_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (ship_track_check(&filter) != SHIP_TRACK_INVALID_INSTANCE)
+    {
+        return SHIP_TRACK_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     for (k = 0; k < SAMPLES; ++k)
     {
         for (i = 0; i < SHIP_TRACK_NY; ++i)
@@ -185,6 +191,7 @@ ship_track_status_t ship_track_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = ship_track_step(&filter, &params, y, valid[0]);
     if (status != SHIP_TRACK_INPUT_NOT_FINITE) { return SHIP_TRACK_SELFTEST_FAILED; }
+    if (ship_track_check(&filter) != SHIP_TRACK_OK) { return SHIP_TRACK_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size)) { return SHIP_TRACK_SELFTEST_FAILED; }

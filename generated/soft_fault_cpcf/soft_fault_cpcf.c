@@ -544,6 +544,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const do
     soft_fault_cpcf_fill(next.predicted_compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
     soft_fault_cpcf_fill(next.predicted_compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
     next.updated = 0.0;
+    next.model = SOFT_FAULT_CPCF_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return SOFT_FAULT_CPCF_OK;
 }
@@ -551,6 +553,75 @@ soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const do
 soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
 {
     return soft_fault_cpcf_start(self, soft_fault_cpcf_x_0, soft_fault_cpcf_P_0);
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int soft_fault_cpcf_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int soft_fault_cpcf_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+soft_fault_cpcf_status_t soft_fault_cpcf_check(const soft_fault_cpcf_t *self)
+{
+    int sound;
+    if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
+    sound = self->model == SOFT_FAULT_CPCF_MODEL_HASH;
+    sound = sound && soft_fault_cpcf_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_variances(self->predicted_covariance, 3, 2);
+    sound = sound && soft_fault_cpcf_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_variances(self->filtered_covariance, 3, 2);
+    sound = sound && soft_fault_cpcf_between(self->innovation, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->innovation_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_variances(self->innovation_covariance, 3, 2);
+    sound = sound && soft_fault_cpcf_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->test_statistic, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->test_dof, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->fault_declared, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->window_left, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->collecting, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->predicted_window_left, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->predicted_collecting, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->compressed_measurement, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->compressed_noise, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_variances(self->compressed_noise, 1, 1);
+    sound = sound && soft_fault_cpcf_between(self->compressed_cross_covariance, 2, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->predicted_compressed_measurement, 1, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(self->predicted_compressed_noise, 1, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && soft_fault_cpcf_variances(self->predicted_compressed_noise, 1, 1);
+    sound = sound && soft_fault_cpcf_between(self->predicted_compressed_cross_covariance, 2,
+        -DBL_MAX, DBL_MAX);
+    sound = sound && soft_fault_cpcf_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? SOFT_FAULT_CPCF_OK : SOFT_FAULT_CPCF_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -669,6 +740,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
     status = soft_fault_cpcf_propagate(&next, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
         : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;

@@ -37,9 +37,9 @@
  *
  * Cost of one step with every row present: 82 floating-point operations and 1 log; at the end of a
  * window 35 more.
- * An instance is 33 doubles, 264 bytes; nothing else is kept. Tables of constants: 48 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2320 bytes at -O0, 1168 at -Os.
+ * An instance is 33 doubles and 1 of uint32_t, 272 bytes; nothing else is kept. Tables of
+ * constants: 48 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2336 bytes at -O0, 1168 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -54,6 +54,7 @@ extern "C" {
 
 #define SOFT_FAULT_CPCF_API_VERSION 1
 #define SOFT_FAULT_CPCF_SPEC_HASH "b16f23187c6b98d8"
+#define SOFT_FAULT_CPCF_MODEL_HASH UINT32_C(0xb16f2318)
 #define SOFT_FAULT_CPCF_NX 2
 #define SOFT_FAULT_CPCF_NE 2
 #define SOFT_FAULT_CPCF_NY 2
@@ -98,8 +99,10 @@ typedef enum
     SOFT_FAULT_CPCF_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SOFT_FAULT_CPCF_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                                target */
-    SOFT_FAULT_CPCF_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                          take: predict first */
+    SOFT_FAULT_CPCF_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                           take: predict first */
+    SOFT_FAULT_CPCF_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                                model */
 } soft_fault_cpcf_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -136,6 +139,8 @@ typedef struct
     double predicted_compressed_cross_covariance[2]; /**< S: covariance of V with e before sample
                                                           k+1 (1 x 2) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< SOFT_FAULT_CPCF_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } soft_fault_cpcf_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -166,6 +171,14 @@ soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self);
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const double y[2],
     uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return SOFT_FAULT_CPCF_OK, SOFT_FAULT_CPCF_NULL_POINTER or SOFT_FAULT_CPCF_INVALID_INSTANCE.
+ */
+soft_fault_cpcf_status_t soft_fault_cpcf_check(const soft_fault_cpcf_t *self);
 
 /** Run a recorded example and compare every bit. SOFT_FAULT_CPCF_OK if all agree. In
  *  soft_fault_cpcf_selftest.c. */

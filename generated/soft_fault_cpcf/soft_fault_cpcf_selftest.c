@@ -145,6 +145,12 @@ soft_fault_cpcf_status_t soft_fault_cpcf_selftest(void)
     {
         return SOFT_FAULT_CPCF_NULL_POINTER;
     }
+    filter.model ^= 1u; /* an instance of another model */
+    if (soft_fault_cpcf_check(&filter) != SOFT_FAULT_CPCF_INVALID_INSTANCE)
+    {
+        return SOFT_FAULT_CPCF_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     filter.predicted_window_left = 3.0;
     for (k = 0; k < SAMPLES; ++k)
     {
@@ -175,6 +181,10 @@ soft_fault_cpcf_status_t soft_fault_cpcf_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = soft_fault_cpcf_step(&filter, y, valid[0]);
     if (status != SOFT_FAULT_CPCF_INPUT_NOT_FINITE) { return SOFT_FAULT_CPCF_SELFTEST_FAILED; }
+    if (soft_fault_cpcf_check(&filter) != SOFT_FAULT_CPCF_OK)
+    {
+        return SOFT_FAULT_CPCF_SELFTEST_FAILED;
+    }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

@@ -36,9 +36,9 @@
  *
  * Cost of one step with every row present: 117 floating-point operations and 1 log; at the end of a
  * window 28 more.
- * An instance is 35 doubles, 280 bytes; nothing else is kept. Tables of constants: 48 bytes. No
- * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2480 bytes at -O0, 1152 at -Os.
+ * An instance is 35 doubles and 1 of uint32_t, 288 bytes; nothing else is kept. Tables of
+ * constants: 48 bytes. No heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2496 bytes at -O0, 1152 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -53,6 +53,7 @@ extern "C" {
 
 #define SOFT_FAULT_DFCF_API_VERSION 1
 #define SOFT_FAULT_DFCF_SPEC_HASH "47b2c0ecf6aea9db"
+#define SOFT_FAULT_DFCF_MODEL_HASH UINT32_C(0x47b2c0ec)
 #define SOFT_FAULT_DFCF_NX 2
 #define SOFT_FAULT_DFCF_NE 2
 #define SOFT_FAULT_DFCF_NY 2
@@ -97,8 +98,10 @@ typedef enum
     SOFT_FAULT_DFCF_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SOFT_FAULT_DFCF_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                                target */
-    SOFT_FAULT_DFCF_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
-                                          take: predict first */
+    SOFT_FAULT_DFCF_WRONG_ORDER = -7, /**< a second update of this sample, which this filter cannot
+                                           take: predict first */
+    SOFT_FAULT_DFCF_INVALID_INSTANCE = -10 /**< not started, damaged, or an instance of another
+                                                model */
 } soft_fault_dfcf_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -134,6 +137,8 @@ typedef struct
     double predicted_window_left; /**< window_left before sample k+1 */
     double predicted_collecting; /**< collecting before sample k+1 */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
+    uint32_t model; /**< SOFT_FAULT_DFCF_MODEL_HASH, set by a start */
+    uint32_t unused; /**< 0: no byte of an instance is left to chance */
 } soft_fault_dfcf_t;
 
 /** Start from the prior of the spec: the prediction for sample 0. Call it, or
@@ -164,6 +169,14 @@ soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self);
 /** Update with sample k, then predict sample k + 1, as one transaction. */
 soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const double y[2],
     uint32_t valid);
+
+/** Check an instance that was saved, or may not have been started: it is one of this model, its
+ *  numbers are finite,
+ *  variances not negative, probabilities between 0 and 1. A few additions: for a restart, not for
+ *    every sample.
+ *  @return SOFT_FAULT_DFCF_OK, SOFT_FAULT_DFCF_NULL_POINTER or SOFT_FAULT_DFCF_INVALID_INSTANCE.
+ */
+soft_fault_dfcf_status_t soft_fault_dfcf_check(const soft_fault_dfcf_t *self);
 
 /** Run a recorded example and compare every bit. SOFT_FAULT_DFCF_OK if all agree. In
  *  soft_fault_dfcf_selftest.c. */

@@ -1869,6 +1869,8 @@ wheel_drift_status_t wheel_drift_start(wheel_drift_t *self, const double x[2], c
     next.predicted_window_left = 98.0;
     wheel_drift_fill(next.predicted_collecting, 4, wheel_drift_zero_0, 1);
     next.updated = 0.0;
+    next.model = WHEEL_DRIFT_MODEL_HASH;
+    next.unused = 0u;
     *self = next;
     return WHEEL_DRIFT_OK;
 }
@@ -1883,6 +1885,71 @@ wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
     if (params == NULL) { return WHEEL_DRIFT_NULL_POINTER; }
     params->dt = 0.01;
     return WHEEL_DRIFT_OK;
+}
+
+/* ---- check ---- */
+
+/* Nonzero if all numbers of an array lie between two; NaN does not. */
+static int wheel_drift_between(const double *values, int size, double least, double largest)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!((values[i] >= least) && (values[i] <= largest))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if no variance of lower triangles, one after the other, is negative. */
+static int wheel_drift_variances(const double *P, int size, int rows)
+{
+    int at = 0;
+    int i;
+    while (at < size)
+    {
+        for (i = 0; i < rows; ++i)
+        {
+            at += i;
+            if (P[at] < 0.0) { return 0; }
+            ++at;
+        }
+    }
+    return 1;
+}
+
+wheel_drift_status_t wheel_drift_check(const wheel_drift_t *self)
+{
+    int sound;
+    if (self == NULL) { return WHEEL_DRIFT_NULL_POINTER; }
+    sound = self->model == WHEEL_DRIFT_MODEL_HASH;
+    sound = sound && wheel_drift_between(self->predicted_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->predicted_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_variances(self->predicted_covariance, 3, 2);
+    sound = sound && wheel_drift_between(self->filtered_state, 2, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->filtered_covariance, 3, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_variances(self->filtered_covariance, 3, 2);
+    sound = sound && wheel_drift_between(self->innovation, 6, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->innovation_covariance, 21, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_variances(self->innovation_covariance, 21, 6);
+    sound = sound && wheel_drift_between(&self->nis, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(&self->log_likelihood, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->compression_deviation, 30, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->compression_covariance, 45, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_variances(self->compression_covariance, 45, 2);
+    sound = sound && wheel_drift_between(self->predicted_compression_deviation, 30, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && wheel_drift_between(self->predicted_compression_covariance, 45, -DBL_MAX,
+        DBL_MAX);
+    sound = sound && wheel_drift_variances(self->predicted_compression_covariance, 45, 2);
+    sound = sound && wheel_drift_between(self->test_statistic, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->test_dof, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->fault_declared, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(&self->window_left, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->collecting, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(&self->predicted_window_left, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(self->predicted_collecting, 4, -DBL_MAX, DBL_MAX);
+    sound = sound && wheel_drift_between(&self->updated, 1, 0.0, 1.00001);
+    return sound ? WHEEL_DRIFT_OK : WHEEL_DRIFT_INVALID_INSTANCE;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
@@ -2009,6 +2076,8 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
     status = wheel_drift_propagate(&next, params, u, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
     next.updated = 0.0;
+    next.model = self->model;
+    next.unused = 0u;
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
         (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||

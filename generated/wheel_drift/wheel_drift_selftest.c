@@ -191,6 +191,12 @@ wheel_drift_status_t wheel_drift_selftest(void)
     int k, i;
     if (wheel_drift_init(&filter) != WHEEL_DRIFT_OK) { return WHEEL_DRIFT_NULL_POINTER; }
     (void)wheel_drift_params_init(&params);
+    filter.model ^= 1u; /* an instance of another model */
+    if (wheel_drift_check(&filter) != WHEEL_DRIFT_INVALID_INSTANCE)
+    {
+        return WHEEL_DRIFT_SELFTEST_FAILED;
+    }
+    filter.model ^= 1u;
     filter.predicted_window_left = 3.0;
     for (k = 0; k < SAMPLES; ++k)
     {
@@ -221,6 +227,7 @@ wheel_drift_status_t wheel_drift_selftest(void)
     y[0] = number(UINT64_C(0x7ff0000000000000));
     status = wheel_drift_step(&filter, &params, input[0], y, valid[0]);
     if (status != WHEEL_DRIFT_INPUT_NOT_FINITE) { return WHEEL_DRIFT_SELFTEST_FAILED; }
+    if (wheel_drift_check(&filter) != WHEEL_DRIFT_OK) { return WHEEL_DRIFT_SELFTEST_FAILED; }
     for (k = 0; k < MEMBERS; ++k)
     {
         if (!same(member[k].value, expected, member[k].size))

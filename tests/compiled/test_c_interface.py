@@ -166,8 +166,8 @@ def test_an_instance_holds_its_members_and_nothing_else(tmp_path):
     plant = spread.specs("float")["mkf_independent"]
     program = generated(plant).program
     scalars = sum(port.size for port in program.ports) + 1 + len(program.repeats or ())
-    assert lines(tmp_path, plant, "    SHOW(sizeof(plant_t));") == [str(4 * scalars)]
-    assert f"An instance is {scalars} floats" in generated(plant).files["plant.h"]
+    assert lines(tmp_path, plant, "    SHOW(sizeof(plant_t));") == [str(4 * (scalars + 1))]
+    assert f"An instance is {scalars} floats and 1 of uint32_t" in generated(plant).files["plant.h"]
 
 
 def test_an_initialised_instance_has_no_byte_that_init_left_alone(tmp_path):

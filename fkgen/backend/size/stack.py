@@ -58,10 +58,10 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
 
 
 def instance_of(program: ir.CProgram) -> int:
-    """Bytes of an instance: ports, which estimate is the latest, and bits of rows."""
+    """Bytes of an instance: ports, which estimate is the latest, bits of rows, of which model."""
     size = BYTES[program.scalar]
     scalars = sum(port.size for port in program.ports) + 1 + len(program.repeats or ())
-    words = -(-len(program.outputs) // 32) * sum(port.flags for port in program.ports)
+    words = -(-len(program.outputs) // 32) * sum(port.flags for port in program.ports) + 1
     return -(-(size * scalars + 4 * words) // size) * size
 
 

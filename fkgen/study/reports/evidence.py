@@ -10,7 +10,7 @@ from typing import Any
 
 from fkgen.backend.lower import digest_of
 from fkgen.problem import Spec
-from fkgen.proof import agreement, records, verify
+from fkgen.proof import agreement, eva, records, verify
 from fkgen.proof.verify import Step
 from fkgen.study.reports.jsonable import json_text
 from fkgen.symbolic.validated import Claim
@@ -31,14 +31,16 @@ class Evidence:
 
     spec: Spec
     targets: tuple[str, ...] = ()
+    prove: bool = False
     claims: list[Claim] = field(default_factory=list)
     figures: list[Figures] = field(default_factory=list)
 
     def steps(self) -> tuple[Step, ...]:
-        """What there is to do: on targets, if there are some, else here."""
+        """What there is to do: on targets and by static analysis if asked for, else here."""
+        proof = eva.steps(self.spec) if self.prove else ()
         if self.targets:
-            return on_targets(self.spec, self.targets, self.figures)
-        return verify.steps(self.spec)
+            return *proof, *on_targets(self.spec, self.targets, self.figures)
+        return proof or verify.steps(self.spec)
 
     def take(self, step: Step) -> None:
         """Do one step."""
