@@ -268,7 +268,7 @@ def _summary(entries: list[Entry], *, build_file: bool) -> dict[str, str]:
     units = {each["name"]: [f for f in each["files"] if _is_unit(f, each)] for each in filters}
     fused = [each["name"] for each in filters if "fused" in each]  # they need libm
     large = [each["name"] for each in filters if len(each["states"]) >= LARGE_STATES]
-    context = {"filters": units, "fused": fused, "large": large}
+    context: dict[str, object] = {"filters": units, "fused": fused, "large": large}
     build = {BUILD: filled("CMakeLists.txt.j2", context)} if build_file else {}
     digests = {name: _digest(text) for name, text in build.items()}
     several: Entry = {"filters": filters, "files": digests}
