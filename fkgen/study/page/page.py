@@ -357,12 +357,13 @@ def _modes(spec: Spec) -> Iterator[list[str]]:
 
 def _claim(claim: Claim) -> list[str]:
     error, allowed = (f"{each:.1e}" if each else "0" for each in (claim.error, claim.tolerance))
-    return [claim.claim, claim.source, error, allowed, "yes" if claim.holds else "no", "measured"]
+    holds = "yes" if claim.holds else "no"
+    return [claim.claim, claim.source, error, allowed, holds, claim.standing]
 
 
 def _theorems(spec: Spec) -> Iterator[list[str]]:
     for each in family(spec.filter.family).theorems:
-        yield [each.claim, each.source, "exact", "exact", "fkgen verify", "symbolic"]
+        yield [each.claim, each.source, "exact", "exact", "fkgen verify", each.standing]
 
 
 def _facts(source: Source) -> dict[str, Any]:
