@@ -175,11 +175,13 @@ def _bounds(c: Printer) -> dict[str, list[list[str]]]:
 def _sound(c: Printer) -> list[tuple[str, int, tuple[str, str], int]]:
     """What a check asks of members: size, least and largest number, rows where it has variances."""
     n = len(c.program.errors)
+    own = n * (n + 1) // 2  # numbers of the factors of one covariance of x alone
     any_number, one = (f"-{c.limit}", c.limit), (c.literal(0.0), c.literal(LARGEST_PROBABILITY))
     found = []
     for port in c.program.ports:
         probable = port.flags or port.name.endswith("probability")
-        rows = port.shape[-1] if port.symmetric else n * port.name.endswith("_factors")
+        factors = port.name.endswith("_factors") and port.shape[-1] == own
+        rows = port.shape[-1] if port.symmetric else n * factors
         member = f"{'' if port.shape else '&'}self->{port.member}"
         found.append((member, port.size, one if probable else any_number, rows))
     groups = len(c.program.repeats or ())

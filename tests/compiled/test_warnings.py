@@ -176,7 +176,7 @@ def test_the_object_exports_its_prefix_needs_nothing_and_keeps_nothing(
     call(*command, cwd=written)
     listed = call("nm", "plant.o", cwd=written).stdout.splitlines()
     found = [line.split()[-2:] for line in listed]
-    verbs = ["init", "start", "update", "predict", "step"]
+    verbs = ["init", "start", "update", "predict", "step", "check"]
     verbs += ["params_init"] if spread.specs()[name].parameters else []
     assert {symbol for kind, symbol in found if kind.isupper() and kind != "U"} == {
         f"plant_{verb}" for verb in verbs

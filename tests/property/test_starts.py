@@ -100,12 +100,12 @@ def test_a_start_is_the_prior_of_a_spec_that_states_it(name, scalar):
     stated = instance(changed(plant, model={"x0": x0.tolist(), "P0": P0.tolist()}))
     y, u, params = data(plant, 5)
     found = fkgen.build(plant)
-    assert found.snapshot().data == instance(plant)
+    assert found.snapshot().data.startswith(instance(plant))  # the hash of the model comes last
     run = found.run(y, u, params, start={"x0": x0, "P0": P0})
     starts = {"x0": np.stack([x0, x0]), "P0": np.stack([P0, P0])}
     batch = found.run_batch(np.stack([y, y]), u, params, start=starts)
     found.reset(x0, P0)
-    assert found.snapshot().data == stated
+    assert found.snapshot().data.startswith(stated)
     for k in range(len(y)):
         now = {key: float(value[k]) for key, value in params.items()}
         last = found.step(y[k], None if u is None else u[k], now or None)
