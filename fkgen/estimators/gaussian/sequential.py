@@ -19,9 +19,9 @@ from fkgen.estimators.gaussian.factored import FactoredUpdate
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rolled import Arrays, is_rolled, taken_in_loops
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
-from fkgen.estimators.gaussian.ud import Factors
+from fkgen.estimators.gaussian.ud import Factors, seen_through
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.linalg import column, congruence, operations, pack, reduced, total
+from fkgen.symbolic.linalg import column, operations, pack, reduced, total
 
 #: A row is redundant when its pivot is below this share of its prior variance (rank decision).
 RANK_TOLERANCE = {"double": 2e-13, "float": 1e-4}
@@ -228,8 +228,7 @@ def _variance(
     is not shown, C drops it, and innovations that are corrected through the mean cost least.
     """
     C, R = measurement.C, measurement.R
-    seen = covariance.seen(C) if isinstance(covariance, Factors) else congruence(C, covariance)
-    p, S = C.shape[0], seen + pack(R)
+    p, S = C.shape[0], seen_through(C, covariance) + pack(R)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
     if decided and measurement.shows_variance and by_factors <= operations(S):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
-from fkgen.symbolic.linalg import column, is_zero, operations, sparse, total, unpack
+from fkgen.symbolic.linalg import column, congruence, is_zero, operations, sparse, total, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_symbols
 from fkgen.symbolic.recursion import Phase
@@ -112,6 +112,16 @@ class Factors:
             ways.append(_grown(carried, self.scale, added, weights, self.scalar))
         found = [Factors(unit, scale, order, self.scalar) for unit, scale in ways]
         return min(found, key=lambda each: operations(each.packed))
+
+
+def unpacked(held: ca.SX | Factors, n: int) -> ca.SX | Factors:
+    """A packed covariance as a matrix; factors as they are."""
+    return held if isinstance(held, Factors) else unpack(held, n)
+
+
+def seen_through(C: ca.SX, held: ca.SX | Factors) -> ca.SX:
+    """C P C', packed, of a covariance that is a matrix or factors."""
+    return held.seen(C) if isinstance(held, Factors) else congruence(C, held)
 
 
 @dataclass(frozen=True, slots=True)

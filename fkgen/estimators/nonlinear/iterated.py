@@ -24,7 +24,14 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import Conditioned, Prior, condition
-from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    factors_note,
+    order_of,
+    seen_through,
+    started,
+    unpacked,
+)
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -170,7 +177,7 @@ class Search:
             found = self._iterate(i, last=i + 1 == iterations)
         S = first.innovation_covariance
         if self.independent.shares:
-            S = self._seen(plant.C) + pack(plant.R)
+            S = seen_through(plant.C, unpacked(self.prior[1], ne)) + pack(plant.R)
         first = replace(first, innovation=innovation, innovation_covariance=S)
         if not plant.attitudes:
             state = self.prior[0] + self.kept["step"]
@@ -182,13 +189,6 @@ class Search:
             return first, self.kept["corrected"], turned.covariance(), turned
         covariance = congruence(turn, unpack(found.covariance, ne))
         return first, self.kept["corrected"], covariance, None
-
-    def _seen(self, C: ca.SX) -> ca.SX:
-        """C P C', packed."""
-        held = self.prior[1]
-        if isinstance(held, Factors):
-            return held.seen(C)
-        return congruence(C, unpack(held, self.plant.ne))
 
     def _iterate(self, i: int, *, last: bool) -> Conditioned:
         """Find the next step with H of the last one taken, and take it if it lowers the cost."""
@@ -229,9 +229,7 @@ class Search:
         builder, plant = self.builder, self.plant
         zero, R = ca.SX.zeros(plant.ny), ca.diag(column(self.independent.variances))
         stated = measurement_of(plant, y=self.y, C=H, offset=zero, R=R)
-        held = self.prior[1]
-        held = held if isinstance(held, Factors) else unpack(held, plant.ne)
-        prior = ca.SX.zeros(plant.ne), held
+        prior = ca.SX.zeros(plant.ne), unpacked(self.prior[1], plant.ne)
         rows = ca.vertsplit(target)
         return condition(builder, prior, stated, tag=tag, form=self.form, innovation=rows)
 

@@ -33,7 +33,7 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
-from fkgen.estimators.gaussian.ud import Factors, packed_factors
+from fkgen.estimators.gaussian.ud import Factors, packed_factors, unpacked
 from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
@@ -120,7 +120,7 @@ def _update(design: window.Design) -> Phase:
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
         with builder.titled(f"filter with group {', '.join(map(str, subset))}"):
-            found = condition(builder, (d, _prior(P, n)), part, tag=tag, form=design.form)
+            found = condition(builder, (d, unpacked(P, n)), part, tag=tag, form=design.form)
             deviations.append(builder.define(f"deviation{tag}", found.mean - correction))
         conditioned.append(found)
     demand_finite(builder, ca.vertcat(filtered, *deviations))
@@ -152,14 +152,9 @@ def _host(
     rows, n = design.soft.host, design.plant.nx
     if not rows:
         return None
-    prior = (ca.SX.zeros(n), _prior(design.host("predicted"), n))
+    prior = (ca.SX.zeros(n), unpacked(design.host("predicted"), n))
     part, known = _part(whole, innovation, rows, "host"), [innovation[i] for i in rows]
     return condition(builder, prior, part, tag="_host", form=design.form, innovation=known)
-
-
-def _prior(held: Held, n: int) -> Held:
-    """What rows are folded into: a matrix, or factors."""
-    return held if isinstance(held, Factors) else unpack(held, n)
 
 
 def _factors(*of: tuple[Any, ...]) -> dict[str, ca.SX]:

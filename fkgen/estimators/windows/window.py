@@ -16,12 +16,19 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import bound, finite, measurement_of, update_form
 from fkgen.estimators.gaussian.sequential import Conditioned, innovations
-from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, started
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    factors_note,
+    order_of,
+    seen_through,
+    started,
+    unpacked,
+)
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Outcome, Port, Status, triangle
-from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
+from fkgen.symbolic.linalg import column, outer_lower, pack
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -148,8 +155,7 @@ def innovation_of_host(
     design: Design, plant: Plant, innovation: list[ca.SX], found: Conditioned | None
 ) -> dict[str, ca.SX]:
     """The ports about the innovation; ``found`` is what the rows of the host say, if it has any."""
-    P = design.host("predicted")
-    seen = P.seen(plant.C) if isinstance(P, Factors) else congruence(plant.C, unpack(P, plant.nx))
+    seen = seen_through(plant.C, unpacked(design.host("predicted"), plant.nx))
     return {
         "innovation": column(innovation),
         "innovation_covariance": seen + pack(plant.R),
