@@ -496,6 +496,12 @@ class CProgram:
         return tuple(port for port in self.ports if port.name in names)
 
     @property
+    def accumulated(self) -> tuple[Port, ...]:
+        """The ports that an update goes on from and writes, also where no row was measured."""
+        known = {e.name for e in read(Element, self.update.body) if e.space is Space.SELF}
+        return tuple(port for port in self.written(self.update) if port.name in known)
+
+    @property
     def twins(self) -> tuple[tuple[Port, Port], ...]:
         """Predictions that updates read, with what an update makes of them."""
         known = {port.name: port for port in self.ports}

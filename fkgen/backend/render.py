@@ -332,6 +332,7 @@ def _order(c: Printer, outlined: Outline) -> dict[str, Any]:
         "closing": closing and f"{{}}{closing.unless} > {c.literal(0.0)}",
         "predicted": program.written(program.predict),
         "kept": [port for port in updated if port.role is Role.OUTPUT and port not in own],
+        "passed": program.accumulated,
         "twins": [(port, twin, port not in updated) for port, twin in program.twins],
         "groups": [c.any_of(rows) for rows in program.repeats or ()],
     }

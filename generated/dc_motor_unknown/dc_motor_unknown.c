@@ -1165,6 +1165,11 @@ dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, con
     dc_motor_unknown_keep(next.predicted_covariance, self->predicted_covariance, 3);
     dc_motor_unknown_keep(next.mode_state, self->mode_state, 10);
     dc_motor_unknown_keep(next.mode_covariance, self->mode_covariance, 15);
+    if (latest == &next)
+    {
+        dc_motor_unknown_keep(next.mode_probability, self->mode_probability, 5);
+        dc_motor_unknown_keep(next.log_weight, self->log_weight, 5);
+    }
     self->updated = 0.0;
     return DC_MOTOR_UNKNOWN_OK;
 }

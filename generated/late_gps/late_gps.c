@@ -1554,6 +1554,14 @@ late_gps_status_t late_gps_predict(late_gps_t *self, const late_gps_params_t *pa
     late_gps_keep(next.predicted_state, self->predicted_state, 4);
     late_gps_keep(next.predicted_covariance, self->predicted_covariance, 10);
     self->predicted_samples_before = next.predicted_samples_before;
+    if (latest == &next)
+    {
+        late_gps_keep(next.past_state, self->past_state, 36);
+        late_gps_keep(next.past_covariance, self->past_covariance, 90);
+        late_gps_keep(next.past_rows, self->past_rows, 36);
+        late_gps_keep(next.past_delay, self->past_delay, 36);
+        late_gps_keep(next.past_parameters, self->past_parameters, 9);
+    }
     self->updated = 0.0;
     return LATE_GPS_OK;
 }

@@ -1576,6 +1576,10 @@ markov_jump_status_t markov_jump_predict(markov_jump_t *self)
     markov_jump_keep(next.augmented_state, self->augmented_state, 9);
     markov_jump_keep(next.augmented_covariance, self->augmented_covariance, 45);
     markov_jump_keep(next.predicted_mode_second_moment, self->predicted_mode_second_moment, 18);
+    if (latest == &next)
+    {
+        self->consecutive_rejections = next.consecutive_rejections;
+    }
     self->updated = 0.0;
     return MARKOV_JUMP_OK;
 }

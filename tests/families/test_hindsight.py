@@ -425,6 +425,26 @@ def test_late_rows_with_noises_of_their_own_are_the_joint_gaussian(alone, record
     alone.reset()
 
 
+@pytest.mark.parametrize("shared", [APART, SHARED], ids=["replayed", "remembered"])
+def test_a_prediction_in_place_of_a_sample_keeps_the_past(shared, record, delays):
+    filter_ = built("hind_passing", shared, delays=(3, 2))
+    y, u, params = record
+    y, gaps = y.copy(), {3, 4, 9, 15, 16, 17}
+    y[sorted(gaps)] = np.nan
+    given = {f"delay_{n}": delays[:, i] * 1.0 for i, n in enumerate(("gps", "wheel"))} | params
+    given = {name: v for name, v in given.items() if name in dict(filter_.layout.parameters)}
+    run = filter_.run(y, u, given)
+    for k in range(T):
+        now = u[k], {name: float(np.broadcast_to(v, T)[k]) for name, v in given.items()}
+        if k in gaps:
+            filter_.predict(*now)
+        elif k % 2:
+            filter_.update(y[k], *now)
+            filter_.predict(*now)
+        else:
+            assert (filter_.step(y[k], *now).filtered_state == run.filtered_state[k]).all()
+
+
 def test_only_a_row_that_may_be_late_can_be(record, delays):
     filter_ = built("hind_told", APART, "genie", SENSOR, delays=(3, 0))
     only = delays * [1, 0]
