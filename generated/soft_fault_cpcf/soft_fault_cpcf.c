@@ -703,6 +703,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
         next.nis = self->nis;
         next.log_likelihood = self->log_likelihood;
         next.updated = 0.0;
+        next.model = self->model;
+        next.unused = 0u;
         *self = next;
         return SOFT_FAULT_CPCF_OK;
     }

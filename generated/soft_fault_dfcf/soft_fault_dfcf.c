@@ -705,6 +705,8 @@ soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
         next.nis = self->nis;
         next.log_likelihood = self->log_likelihood;
         next.updated = 0.0;
+        next.model = self->model;
+        next.unused = 0u;
         *self = next;
         return SOFT_FAULT_DFCF_OK;
     }

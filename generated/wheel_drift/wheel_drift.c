@@ -2038,6 +2038,8 @@ wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_
         next.nis = self->nis;
         next.log_likelihood = self->log_likelihood;
         next.updated = 0.0;
+        next.model = self->model;
+        next.unused = 0u;
         *self = next;
         return WHEEL_DRIFT_OK;
     }

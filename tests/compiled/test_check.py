@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import tomllib
 from dataclasses import replace
 from itertools import cycle
 
@@ -86,3 +87,33 @@ def test_an_instance_keeps_its_model_through_calls_and_snapshots(family, tmp_pat
     steps = [found.step(np.ones(p), np.ones(q)), found.update(np.ones(p), np.ones(q))]
     for at in (*steps, found.predict(np.ones(q)), copy.deepcopy(found).snapshot()):
         assert found.layout.structure().from_buffer_copy(at.data).model == model
+
+
+@pytest.mark.parametrize("family", ["dfcf", "cpcf", "compression_full"])
+def test_predictions_over_the_end_of_a_window_leave_an_instance(family, tmp_path):
+    spec = fkgen.Spec.from_dict(tomllib.loads(starter(family)))
+    source = generated(spec)
+    source.write(tmp_path / "out")
+    driven = f", (const double[{spec.model.nu}]){{ 0 }}" if spec.model.nu else ""
+    params, given = "", ""
+    if source.program.parameters:
+        params = "my_filter_params_t params; (void)my_filter_params_init(&params);"
+        given = ", &params"
+    text = f"""
+    #include "my_filter.h"
+    #include <stdio.h>
+    int main(void)
+    {{
+        my_filter_t f;
+        int k, sound = my_filter_init(&f) == MY_FILTER_OK;
+        {params}
+        for (k = 0; k < 100; ++k)
+        {{
+            sound = sound && my_filter_predict(&f{given}{driven}) == MY_FILTER_OK;
+            sound = sound && my_filter_check(&f) == MY_FILTER_OK;
+        }}
+        printf("%d\\n", sound);
+        return 0;
+    }}
+    """
+    assert run_main(tmp_path / "out", text, "my_filter.c") == ["1"]
