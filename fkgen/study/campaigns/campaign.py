@@ -56,9 +56,7 @@ def montecarlo(
     trials, steps, seed : int
         M trials of T samples, those of ``simulate(truth or spec, trials, steps, seed)``.
     u, params
-        Inputs and run-time parameters, as for `simulate`; a parameter goes to plant and filter,
-        whichever has it. What is left out is the plant's default in the plant, and the filter's in
-        the filter.
+        As for `simulate`, for plant and filter; what is left out has its own default in each.
     truth : Spec, optional
         The plant, of the same sizes; default: that of ``spec``.
     workers : int, optional
