@@ -55,6 +55,7 @@ PARTS = {
     "files": files.files,
     "sizes": sizes.generated,
     "trials": trials.trials,
+    "fits": trials.fits,
 }
 
 
