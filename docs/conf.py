@@ -17,7 +17,7 @@ author = copyright = "fkgen developers"  # noqa: A001  (Sphinx asks for this nam
 release = version = __version__
 
 root_doc = "docs/index"
-include_patterns = ["docs/**", "examples/*/*.md", "README.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = ["docs/**", "examples/*/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
 exclude_patterns = [".*", "bench", "build", "dist", "fkgen", "generated", "templates", "tests", "tools"]
 
 extensions = [
@@ -40,6 +40,7 @@ nb_merge_streams = True
 # Reference from docstrings. Types are in signatures; what a base class of Python does is its own.
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # by its name, not by the thirty types behind it
 autodoc_default_options = {"members": True}
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
@@ -48,9 +49,18 @@ html_theme = "furo"
 html_title = "fkgen"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_extra_path = ["_root"]  # index.html, which leads to docs/index.html
 html_copy_source = False
 html_show_copyright = False
 html_last_updated_fmt = None
+
+# Links that lead nowhere are warnings, but for types in signatures that have no page: those of other
+# packages, and of fkgen below its public names.
+nitpick_ignore_regex = [
+    ("py:class", r"(collections|numpy|os|pathlib)\..*"),
+    ("py:class", r"fkgen\.[a-z_]+\..*"),
+    ("py:class", r"[A-Z]\w*"),
+]
 
 # External links are looked at by `make docs-links`; `-n -W` looks at those within the site.
 linkcheck_timeout = 20
