@@ -29,7 +29,7 @@ extensions = [
 ]
 
 # Pages are Markdown; those that say so on top are notebooks, run by the build and kept until they change.
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "build" / "notebooks")
