@@ -55,7 +55,7 @@ proofs: ## have Coq check the algebra of the filters, and Gappa's bound of round
 
 docs: ## build the site in build/site, notebooks run; a link that leads nowhere fails
 	$(setup) docs
-	$(sphinx) -n -W --keep-going -q -b html . build/site
+	$(sphinx) -E -n -W --keep-going -q -b html . build/site
 	@echo "docs: build/site/index.html"
 
 docs-links: ## ask every address outside whether it is there

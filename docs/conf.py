@@ -1,6 +1,7 @@
 """The site: pages of docs/ and of the examples, as they lie in the repository. See ``make docs``.
 
-The source folder is the repository itself, so a link from page to page works on disk and on the site.
+The source folder is the repository itself, so a link from page to page works on disk as on the
+site.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ release = version = __version__
 
 root_doc = "docs/index"
 include_patterns = ["docs/**", "examples/*/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
-exclude_patterns = [".*", "bench", "build", "dist", "fkgen", "generated", "templates", "tests", "tools"]
+exclude_patterns = [
+    ".*",
+    "bench",
+    "build",
+    "dist",
+    "fkgen",
+    "generated",
+    "templates",
+    "tests",
+    "tools",
+]
 
 extensions = [
     "myst_nb",
@@ -28,7 +39,8 @@ extensions = [
     "sphinx_click",
 ]
 
-# Pages are Markdown; those that say so on top are notebooks, run by the build and kept until they change.
+# Pages are Markdown; those that say so on top are notebooks, run by the build and kept until
+# they change.
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 nb_execution_mode = "cache"
@@ -54,8 +66,8 @@ html_copy_source = False
 html_show_copyright = False
 html_last_updated_fmt = None
 
-# Links that lead nowhere are warnings, but for types in signatures that have no page: those of other
-# packages, and of fkgen below its public names.
+# Links that lead nowhere are warnings, but for types in signatures that have no page: those of
+# other packages, and of fkgen below its public names.
 nitpick_ignore_regex = [
     ("py:class", r"(collections|numpy|os|pathlib)\..*"),
     ("py:class", r"fkgen\.[a-z_]+\..*"),

@@ -1,4 +1,4 @@
-"""Set up .venv: ``python3 tools/environment.py run|test|bench|docs``. The Makefile calls this first.
+"""Set up .venv: ``python3 tools/environment.py run|test|bench|docs``. The Makefile calls it first.
 
 Nothing happens where .venv already holds what is asked for. Otherwise uv does the work, or venv and
 pip where there is no uv (or where the variable UV is empty). A stamp, written last, says what .venv

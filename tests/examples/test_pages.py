@@ -1,10 +1,10 @@
-"""Pages for newcomers are followed to the letter; on the other pages no name or option is stale.
+"""Tutorials and errata are followed to the letter; on the other pages no name or option is stale.
 
-A page that is followed is read from top to bottom in an empty folder. A block whose first line is a
-comment with a file name is saved; ``console`` blocks are run and what they print is compared, ``...``
-standing for any lines; ``python`` blocks run in one namespace, prints compared with the comments
-beside them; ``toml`` blocks have to be specs. ``<!-- not run: reason -->`` before a block leaves it
-out, and a ``python`` block that needs names of the reader is a sketch, which is only read.
+A page that is followed is read from top to bottom in an empty folder. A block whose first line is
+a comment with a file name is saved; ``console`` blocks are run and what they print is compared,
+``...`` standing for anything; ``python`` blocks run in one namespace, prints compared with
+the comments beside them; ``toml`` blocks have to be specs. ``<!-- not run: reason -->`` before a
+block leaves it out.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import fkgen
 from fkgen.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLLOWED = sorted((ROOT / "docs/tutorials").glob("*.md"))
+FOLLOWED = [*sorted((ROOT / "docs/tutorials").glob("*.md")), ROOT / "docs/errata.md"]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*/*.md")])
 BLOCK = re.compile(
     r"^(?:<!-- not run: (?P<reason>.+) -->\n)?```(?P<language>\S*)\n(?P<text>.*?)^```$",
@@ -95,13 +95,13 @@ def follow_python(text, names):
     with redirect_stdout(printed):
         exec(compile(text, "page", "exec"), names)  # noqa: S102
     assert printed.getvalue().splitlines() == re.findall(
-        r"^print\(.*\)  # (.*)$", text, re.MULTILINE
+        r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE
     )
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("path", FOLLOWED, ids=name)
-def test_a_page_for_newcomers_is_true_to_the_letter(path, tmp_path, monkeypatch):
+def test_a_page_that_is_followed_is_true_to_the_letter(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROOT", str(ROOT))
     monkeypatch.syspath_prepend(tmp_path)
