@@ -15,8 +15,10 @@ setup = @command -v $(PYTHON) >/dev/null 2>&1 || \
 # one worker, which then builds its filters once.
 pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile
 
+sphinx := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m sphinx -c docs -d build/doctrees
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all floats bench firmware proofs lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all floats bench firmware proofs docs docs-links lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -50,6 +52,15 @@ firmware: ## run all examples on emulated processors and compare bits; figures a
 proofs: ## have Coq check the algebra of the filters, and Gappa's bound of rounding in float
 	$(setup) run
 	$(bin)/python tools/proofs.py
+
+docs: ## build the site in build/site, notebooks run; a link that leads nowhere fails
+	$(setup) docs
+	$(sphinx) -E -n -W --keep-going -q -b html . build/site
+	@echo "docs: build/site/index.html"
+
+docs-links: ## ask every address outside whether it is there
+	$(setup) docs
+	$(sphinx) -q -b linkcheck . build/links
 
 lint: ## check style, types, floors and the budget
 	$(setup) test

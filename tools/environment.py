@@ -1,4 +1,4 @@
-"""Set up .venv: ``python3 tools/environment.py run|test|bench``. The Makefile calls this first.
+"""Set up .venv: ``python3 tools/environment.py run|test|bench|docs``. The Makefile calls it first.
 
 Nothing happens where .venv already holds what is asked for. Otherwise uv does the work, or venv and
 pip where there is no uv (or where the variable UV is empty). A stamp, written last, says what .venv
@@ -25,7 +25,7 @@ CONSTRAINTS = ROOT / "constraints.txt"
 VENV = ROOT / ".venv"
 STAMP = VENV / ".fkgen-setup"
 UNFINISHED = VENV / ".fkgen-unfinished"
-GROUPS = {"run": [], "test": ["--group", "test"], "bench": ["--group", "bench"]}
+GROUPS = {"run": [], **{name: ["--group", name] for name in ("test", "bench", "docs")}}
 OLDEST = (3, 11)
 PROBE = """
 import importlib.util, sys

@@ -91,7 +91,7 @@ class FaultEffect:
         Parameters
         ----------
         fraction : float
-            Of the peak of |error_deviation|, in (0, 1), or a `DataError`.
+            Of the peak of ``abs(error_deviation)``, in (0, 1), or a `DataError`.
         """
         share = probability("fraction", fraction)
         size = np.abs(self.error_deviation)
