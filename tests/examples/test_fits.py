@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import redirect_stdout
+from io import StringIO
+
 import numpy as np
 import pytest
 from scripts import EXAMPLES, scripts_of
+
+from fkgen.study.reports.starters import resource
 
 pytestmark = pytest.mark.compiled
 
@@ -32,6 +38,19 @@ def test_the_first_log_of_the_motor_is_that_of_the_page():
         assert line.startswith(f"| {label} |")
         assert line.endswith(f"| {numbers} | {low:.3g} to {high:.3g} |")
     assert found.holds.mean() > 0.7
+
+
+def test_code_on_the_page_about_fits_prints_what_stands_beside_it():
+    pytest.importorskip("cvxpy", reason="autocovariance least squares is an optional extra")
+    page = resource("docs/fit.md").read_text(encoding="utf-8")
+    known = {}
+    for code in re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE):
+        printed = StringIO()
+        with redirect_stdout(printed):
+            exec(compile(code, "fit.md", "exec"), known)  # noqa: S102
+        assert printed.getvalue().splitlines() == re.findall(
+            r"^print\(.*\)  # (.*)$", code, re.MULTILINE
+        )
 
 
 @pytest.mark.exhaustive
