@@ -30,8 +30,7 @@ class Roc:
         Share of the samples in other modes at which i is declared.
     area : Statistic, (N,)
         Under the line through these points and (0, 0): 1 if the probability tells mode i from the
-        others, 1/2 if it knows nothing. Never above the area over all thresholds by more than what
-        lies between two of them.
+        others, 1/2 if it knows nothing.
 
     N is 0 where the filter has no modes, or others than the plant. NaN where no sample counts.
     """
