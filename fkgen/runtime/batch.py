@@ -16,9 +16,9 @@ Array = NDArray[Any]
 
 _POINTER = ctypes.c_void_p
 
-#: Operations without lanes from which on it pays to compile them: some twenty batches of that size
-#: take as long as a compiler.
-WORTH, WORTH_A_STATEMENT = 20_000_000, 100_000
+#: Operations without lanes from which on it pays to compile them: those take as long as a compiler,
+#: so whatever comes afterwards, nobody waits more than twice as long as need be.
+WORTH, WORTH_A_STATEMENT = 200_000_000, 3_000_000
 
 
 class Batch(ctypes.Structure):

@@ -116,9 +116,11 @@ class Checkpoint:
             found: Any = json.loads(path.read_bytes())
             if found["kind"] != _KIND:
                 raise KeyError  # noqa: TRY301 - told below
-            facts = {key: found[key] for key in self._facts}
-            done = {range(*each) for each in found["done"]}
-            sums = _sums(found) if done else None
+            facts, done, sums = {"version": found["version"]}, set[range](), None
+            if facts["version"] == self._facts["version"]:  # another one may hold other things
+                facts = {key: found[key] for key in self._facts}
+                done = {range(*each) for each in found["done"]}
+                sums = _sums(found) if done else None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             given = "a file that is no checkpoint, or one that cannot be read; it stays as it is"
             expected = f"a {_KIND}, or the name of a new file"

@@ -18,12 +18,13 @@ from fkgen.study.campaigns.campaign import montecarlo
 from fkgen.study.campaigns.results import Campaign
 from fkgen.study.campaigns.sweep import Axis, Sweep, sweep
 from fkgen.study.campaigns.tally import SIGMAS
+from fkgen.study.comparisons.ranking import Estimate
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE, SHADES, save, styled
 
 #: What a picture of a campaign may show.
-PARTS = ("coverage", "calibration")
+PARTS = ("coverage", "calibration", "roc")
 _FEW = 4  # states whose bars are told apart in a narrow panel
 _DARK = 0.6  # share of the largest value from which on a cell is dark
 _COLOURS = SHADES[:6]
@@ -67,11 +68,14 @@ def campaigned(
 
 @styled
 def draw(found: Campaign, parts: Collection[str] = PARTS) -> Figure:
-    """Draw how often errors are within 1, 2 and 3 sigma, and modes true where they are probable."""
+    """Draw how often errors are within 1, 2 and 3 sigma, and what probabilities of modes tell."""
     draws = [_draw_coverage] if "coverage" in parts else []
-    draws += [_draw_calibration] if "calibration" in parts and len(found.calibration.value) else []
-    wide = len(draws) > 1 or len(found.states) > _FEW
-    figure = Figure(figsize=(9.0 if wide else 5.0, 4.2), layout="constrained")
+    if len(found.calibration.value):
+        draws += [_draw_calibration] if "calibration" in parts else []
+        draws += [_draw_roc] if "roc" in parts else []
+    wide = draws == [_draw_coverage] and len(found.states) > _FEW
+    width = 9.0 if wide else (5.0, 9.0, 13.0)[len(draws) - 1]
+    figure = Figure(figsize=(width, 4.2), layout="constrained")
     for axis, draw_panel in zip(
         figure.subplots(1, len(draws), squeeze=False)[0], draws, strict=True
     ):
@@ -107,6 +111,21 @@ def _draw_calibration(axis: Axes, found: Campaign) -> None:
     axis.set_xlabel("probability of a mode")
     axis.set_ylabel("how often it is the true one")
     axis.legend()
+
+
+def _draw_roc(axis: Axes, found: Campaign) -> None:
+    axis.plot([0.0, 1.0], [0.0, 1.0], color="black", lw=0.8, ls=":")
+    roc = found.roc
+    every = zip(roc.false_alarm.value, roc.detection.value, *roc.area, strict=True)
+    for i, (x, y, area, error) in enumerate(every):
+        if not np.isfinite(area):
+            continue
+        label = f"mode {i}, area {Estimate(area, error)}".replace("+-", "\N{PLUS-MINUS SIGN}")
+        line, colour = (np.append(x, 0.0), np.append(y, 0.0)), _COLOURS[i % len(_COLOURS)]
+        axis.plot(*line, "o-", ms=4, lw=1.0, color=colour, label=label)
+    axis.set_xlabel("declared where another mode is true: false alarms")
+    axis.set_ylabel("declared where the mode is true: detections")
+    axis.legend(loc="lower right")
 
 
 @styled

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fkgen.console import html_table
 from fkgen.problem import Spec
 from fkgen.study.campaigns.block import Work
+from fkgen.study.campaigns.roc import Roc, roc_of
 from fkgen.study.campaigns.sums import Statistic, Sums
 from fkgen.study.campaigns.tally import SIGMAS
 from fkgen.study.comparisons.ranking import Estimate
@@ -56,6 +57,8 @@ class Campaign:
     sensor_nis, whiteness : Statistic, (p,)
         Mean square of each row's normalised innovation (1), and its correlation with the next
         one (0).
+    roc : Roc
+        By thresholds of a mode's probability, how often the mode is declared rightly and wrongly.
     verdicts : mapping of str to str
         By statistic "consistent", "optimistic" (errors are larger than the filter says) or
         "conservative".
@@ -81,6 +84,7 @@ class Campaign:
     detected: Statistic
     sensor_nis: Statistic
     whiteness: Statistic
+    roc: Roc
     verdicts: Mapping[str, str]
 
     @property
@@ -94,7 +98,7 @@ class Campaign:
         facts: dict[str, Any] = {key: getattr(self, key) for key in _HEAD}
         for key in (*_STATISTICS, "predicted", *_MORE):
             facts[key] = getattr(self, key)._asdict()
-        return facts | {"verdicts": dict(self.verdicts)}
+        return facts | {"roc": self.roc.facts, "verdicts": dict(self.verdicts)}
 
     def to_json(self) -> str:
         """The same as JSON."""
@@ -124,6 +128,7 @@ def campaign_of(work: Work, sums: Sums) -> Campaign:
         steps=request.steps,
         seed=request.seed,
         rmse=_root(sums.ratio("mse")),
+        roc=roc_of(sums),
         verdicts=verdicts_of(tests_of(sums, work.spec, sums.trials * request.steps), sums.trials),
         **plain,
     )
@@ -263,6 +268,7 @@ def table_of(found: Campaign) -> tuple[Sequence[str], list[list[str]]]:
     farthest = [_farthest(found, i) for i in range(len(found.calibration.value))]
     of = [f"mode {i} where p = {p:.2f}" for i, (p, _, _) in enumerate(farthest)]
     add("calibration", of, Statistic(*np.array(farthest).reshape(-1, 3).T[1:]))
+    add("roc", [f"mode {i}, area" for i in range(len(farthest))], found.roc.area)
     return ("statistic", "of", "estimate", "verdict"), rows
 
 

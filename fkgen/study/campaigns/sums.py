@@ -20,6 +20,7 @@ from fkgen.errors import DataError
 
 Array = NDArray[np.float64]
 _ROUNDED = Fraction(1, 2**50)
+_WHOLE = 2.0**52  # whole numbers whose sizes sum up to less are added without rounding
 _LARGEST = 1e290  # of a sum, so that sums of them do not overflow
 _SUMS = 5  # of a, b, a a, a b, b b: what a ratio of means and its standard error need
 
@@ -41,7 +42,7 @@ class Sums:
     shapes : mapping of str to tuple
         Ratios by name.
     parts : (P, K) ndarray
-        The exact sums: one of all numbers of all ratios, five times.
+        The exact sums: one of all numbers of all ratios, five times; then those of counts.
     """
 
     trials: int
@@ -50,7 +51,7 @@ class Sums:
 
     @classmethod
     def of(cls, trials: int, shapes: Mapping[str, tuple[int, ...]], sums: Array) -> Sums:
-        """The sums (5, N) of a block; they are rounded, always in the same order.
+        """The sums (5 N + counts,) of a block; they are rounded, always in the same order.
 
         Raises
         ------
@@ -85,9 +86,14 @@ class Sums:
         """The parts of five sums of each number, (P, 5, size)."""
         widths = [math.prod(shape) for shape in self.shapes.values()]
         place = list(self.shapes).index(name)
-        start = sum(widths[:place])
-        every = self.parts.reshape(len(self.parts), _SUMS, -1)
+        start, total = sum(widths[:place]), _SUMS * sum(widths)
+        every = self.parts[:, :total].reshape(len(self.parts), _SUMS, -1)
         return every[:, :, start : start + widths[place]]
+
+    @property
+    def counts(self) -> Array:
+        """Sums of counts, which belong to no ratio, rounded correctly."""
+        return self.parts[0, _SUMS * sum(map(math.prod, self.shapes.values())) :]
 
 
 def _ratio(sums: Sequence[Fraction], trials: int) -> tuple[float, float]:
@@ -108,10 +114,14 @@ def merged(sums: Iterable[Sums]) -> Sums:
     every = list(sums)
     if len(every) == 1:
         return every[0]
-    columns = np.concatenate([each.parts for each in every]).T.tolist()
-    expansions = [_expansion(column) for column in columns]
-    parts = np.zeros((max(map(len, expansions)), len(expansions)))
-    for i, found in enumerate(expansions):
+    numbers = np.concatenate([each.parts for each in every])
+    total = numbers.sum(axis=0) + 0.0
+    exact = (np.abs(numbers).sum(axis=0) < _WHOLE) & (numbers == np.rint(numbers)).all(axis=0)
+    others = np.flatnonzero(~exact)
+    expansions = [_expansion(column) for column in numbers[:, others].T.tolist()]
+    parts = np.zeros((max(map(len, expansions), default=1), len(total)))
+    parts[0] = total
+    for i, found in zip(others, expansions, strict=True):
         parts[: len(found), i] = found
     return Sums(sum(each.trials for each in every), every[0].shapes, parts)
 

@@ -23,6 +23,8 @@ from fkgen.version import __version__
 SIGMAS = (1, 2, 3)
 #: Bins of a mode's probability.
 BINS = 10
+#: Probabilities of a mode from which on a detector may declare it: its thresholds.
+THRESHOLDS = (0.0, 0.001, 0.01, 0.05, *(k / 10 for k in range(1, 10)), 0.95, 0.99, 0.999)
 
 _OPERATIONS = 100  # of the text, about: it is compiled with -O3
 
@@ -46,6 +48,12 @@ class Sizes(NamedTuple):
         shapes |= {"nees": (), "nis": (), "delay": (), "detected": (), "false_alarm": ()}
         shapes |= {"sensor_nis": (self.rows,), "whiteness": (self.rows,)}
         return shapes | {"calibration": modes, "predicted": modes, "excess": modes}
+
+    @property
+    def counts(self) -> int:
+        """How many sums of counts there are: of each mode those of `roc`."""
+        wide = 2 * len(THRESHOLDS)
+        return self.modes * (wide + wide * (wide + 1) // 2)
 
 
 class _Given(ctypes.Structure):
@@ -102,7 +110,7 @@ class Tally:
         given |= {name: each for name, each in flags.items() if each is not None}
         arrays = {name: np.ascontiguousarray(each) for name, each in given.items()}
         places = {name: each.ctypes.data for name, each in arrays.items()}
-        out = np.empty((5, self._numbers))
+        out = np.empty(5 * self._numbers + self.sizes.counts)
         told = _Given(trials=trials, samples=samples, **places)
         self._sum(ctypes.byref(told), out.ctypes.data)
         return Sums.of(trials, self._shapes, out)
@@ -130,6 +138,7 @@ def _library(sizes: Sizes, numbers: int) -> Path:
         unit = float(np.finfo(np.dtype("f4" if sizes.real == "float" else "f8")).eps)
         context = sizes._asdict() | {
             "bins": BINS,
+            "thresholds": THRESHOLDS,
             "sigmas": len(SIGMAS),
             "places": places,
             "total": numbers,

@@ -181,7 +181,8 @@ def _declared(spec: Spec, log: Log) -> dict[str, Any]:
         for begin, length in spans[:_SHOWN]
     ]
     found: dict[str, Any] = {"declared_text": text, "declared": rows}
-    if "mode_probability" in run.ports or "test_statistic" in run.ports:
+    windows = spec.faults.soft is not None and "test_statistic" in run.ports
+    if "mode_probability" in run.ports or windows:
         figure = draw(spec, table, run, parts=("faults",))
         said = (
             "Probabilities of the modes."

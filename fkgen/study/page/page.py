@@ -449,9 +449,16 @@ def _campaign(spec: Spec, trials: Trials, drive: Drive) -> dict[str, Any]:
         said = "How often a mode was the true one where the filter gave it some probability."
         figure = campaigns.draw(found, ("calibration",))
         drawn["calibration"] = (figure, "Calibration of mode probabilities", said)
+        said = (
+            "How often a mode is declared while it is the true one, against how often while another"
+            " is, for thresholds of its probability from 0 (above on the right) to 1."
+        )
+        figure = campaigns.draw(found, ("roc",))
+        drawn["roc"] = (figure, "Detection against false alarms", said)
     shown = {key: Picture.of(each[0], key, *each[1:]) for key, each in drawn.items()}
     return {
         "calibration": None,
+        "roc": None,
         "text": text,
         "story": sample.text,
         **shown,

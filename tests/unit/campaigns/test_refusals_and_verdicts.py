@@ -128,6 +128,9 @@ def test_checkpoints_of_something_else_are_refused_and_left_alone(spec, tmp_path
         ):
             fkgen.montecarlo(spec, 400, 300, 1, checkpoint=file)
     assert file.read_bytes() == before
+    file.write_text('{"kind": "checkpoint of fkgen montecarlo", "version": "0.0", "more": 1}')
+    with pytest.raises(fkgen.DataError, match=r"a checkpoint with version 0\.0; expected version"):
+        fkgen.montecarlo(spec, 400, 300, 1, checkpoint=file)
     for text in ("", "{}", "[1]", "no checkpoint", '{"kind": 3}', "\x00\xff"):
         file.write_text(text, encoding="latin-1")
         with pytest.raises(fkgen.DataError, match="no checkpoint"):

@@ -203,3 +203,51 @@ def test_angles_count_by_the_shortest_way():
     run = fkgen.build(spec).run_batch(drawn.y)
     e = np.angle(np.exp(1j * (drawn.state - run.filtered_state)))
     np.testing.assert_allclose(found.rmse.value, np.sqrt((e**2).mean(axis=(0, 1))), rtol=1e-12)
+
+
+def of_levels(probability, mode, thresholds):
+    """Counts (M, K) of samples at which a mode is declared: in other modes, and in it."""
+    reached = probability[..., None] >= thresholds
+    own = mode[..., None]
+    return (reached & ~own).sum(axis=1), (reached & own).sum(axis=1)
+
+
+def area_of(pairs):
+    """Share of pairs (of others, of the mode) whose probability is in a higher bin, by trials."""
+    others, own = pairs
+    before = np.cumsum(others, axis=1) - 0.5 * others
+    return (own.sum(axis=0) * before.sum(axis=0)).sum() / (own.sum() * others.sum())
+
+
+@pytest.mark.parametrize("case", ["sensor", "three modes", "jump"])
+def test_roc_is_that_of_numpy(case, monkeypatch):
+    monkeypatch.setattr(block, "_SAMPLES", 1000)  # several blocks, and a smaller last one
+    spec, trials = CASES[case](), 101
+    found = fkgen.montecarlo(spec, trials, 40, seed=3).roc
+    drawn = fkgen.simulate(spec, trials, 40, 3)
+    run = fkgen.build(spec.whole).run_batch(drawn.y)
+    p = np.asarray(run.mode_probability, float)
+    assert found.threshold[0] == 0.0
+    assert (np.diff(found.threshold) > 0.0).all()
+    for i in range(p.shape[2]):
+        mode = np.minimum(drawn.mode, p.shape[2] - 1) == i
+        at = of_levels(p[..., i], mode, found.threshold)
+        for each, counts in ((found.false_alarm, at[0]), (found.detection, at[1])):
+            value, error = ratio(counts, counts[:, :1])
+            np.testing.assert_allclose(each.value[i], value, rtol=1e-12)
+            np.testing.assert_allclose(each.standard_error[i], error, rtol=1e-9, atol=1e-12)
+        x, y = (np.append(each.value[i], 0.0) for each in (found.false_alarm, found.detection))
+        area = found.area.value[i]
+        assert area == pytest.approx(-np.trapezoid(y, x), rel=1e-12)
+        # whoever leaves out a trial changes the area by its influence, to first order in 1 / M
+        bins = [np.diff(np.append(each, np.zeros((trials, 1)), axis=1)) * -1.0 for each in at]
+        assert area == pytest.approx(area_of(bins), rel=1e-12)
+        left = [area_of([np.delete(each, m, axis=0) for each in bins]) for m in range(trials)]
+        error = (trials - 1) / np.sqrt(trials) * np.std(left, ddof=1)
+        assert found.area.standard_error[i] == pytest.approx(error, rel=0.03)
+
+
+def test_a_filter_without_modes_has_no_roc():
+    found = fkgen.montecarlo(CASES["kf"](), 20, 10)
+    assert found.roc.area.value.shape == (0,)
+    assert json.loads(found.to_json())["roc"]["detection"] == {"value": [], "standard_error": []}

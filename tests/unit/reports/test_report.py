@@ -136,7 +136,8 @@ def test_formulas_and_figures_are_well_formed(page):
     formulas = re.findall(r"<math.*?</math>", page.html, re.DOTALL)
     figures = re.findall(r"<svg.*?</svg>", page.html, re.DOTALL)
     assert len(formulas) >= 9  # four equations and A, C, Q, R, x0, P0
-    assert len(figures) >= 9
+    assert len(figures) >= 10
+    assert "Detection against false alarms" in page.html
     for each in formulas:
         ET.fromstring(each)  # noqa: S314 - our own
     for each in figures:
@@ -165,6 +166,10 @@ def test_statistics_are_those_of_the_campaign(spec, read):
         statistic = getattr(found, key)
         assert error == pytest.approx(float(statistic.standard_error[i]), rel=0.05)  # two digits
         assert value == pytest.approx(float(statistic.value[i]), abs=0.06 * error)
+    for i, area in enumerate(found.roc.area.value):
+        assert float(said["roc", f"mode {i}, area"][0].split("\N{PLUS-MINUS SIGN}")[0]) == (
+            pytest.approx(area, abs=0.06 * found.roc.area.standard_error[i])
+        )
     for key, verdict in found.verdicts.items():
         first = next(row for row in read.tables["Statistics of the campaign"] if row[0] == key)
         assert first[3] == verdict
@@ -314,3 +319,21 @@ def test_a_filter_with_windows_has_innovations_of_its_host_alone():
     found = fkgen.montecarlo(spec, 8, 160)
     assert len(found.outputs) == len(found.sensor_nis.value)
     assert "nis" in found._repr_html_()
+
+
+def test_a_filter_that_tests_every_sample_has_a_record_too(tmp_path):
+    """It declares faults, with neither modes nor windows to be drawn."""
+    jump = {"transition": [[0.9, 0.1], [0.2, 0.8]], "initial": [0.5, 0.5]}
+    jump |= {"modes": [{}, {"A": [[0.5]]}], "arrival_rate": 0.8, "arrival": "unknown"}
+    model = {key: [[1.0]] for key in "ACQRP"} | {"x0": [0.0]}
+    model["P0"] = model.pop("P")
+    tried = {"family": "mjls_lmmse", "detector": "llr"}
+    table = {"name": "lost", "model": model, "faults": {"jump": jump}, "filter": tried}
+    spec = fkgen.Spec.from_dict(table)
+    drawn = fkgen.simulate(spec, 1, 60, 0)
+    np.savetxt(tmp_path / "log.csv", drawn.y[0], header="y0", comments="")
+    read = Reader(fkgen.report(spec, record=tmp_path / "log.csv").html)
+    declared = fkgen.build(spec).run(drawn.y[0]).fault_declared.ravel() > 0
+    rows = read.tables["Declared faults"][1:]
+    assert declared.any()
+    assert sum(int(row[1]) for row in rows) == declared.sum()
