@@ -143,14 +143,12 @@ class Points:
         self, deviations: Sequence[ca.SX], noise: tuple[ca.SX, ca.SX], like: Factors
     ) -> Factors:
         """The same as factors, with columns of noise and their weights added."""
-        weights = [0.5 / self.square] * len(deviations)
+        weights = [ca.SX(0.5 / self.square)] * len(deviations)
         if self.kappa:
-            weights[0] = self.kappa / self.square
+            weights[0] = ca.SX(self.kappa / self.square)
         nothing = replace(like, unit=ca.SX.eye(like.size), scale=ca.SX(like.size, 1))
         columns = ca.horzcat(*deviations, noise[0])
-        return nothing.moved(
-            ca.SX(like.size, like.size), columns, ca.vertcat(column(weights), noise[1])
-        )
+        return nothing.moved(ca.SX(like.size, like.size), columns, ca.vertcat(*weights, noise[1]))
 
     def halves(self, deviations: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
         """M', (p, N), and the packed covariance of what M does not say."""
@@ -301,7 +299,7 @@ def _predict(
         apart = [box_minus(z, mean, lifted) for z in values]
         spread = builder.name_distinct("deviation", apart)
         found: dict[str, ca.SX] = {}
-        if order:
+        if isinstance(held, Factors):
             factors = points.factors(spread, noise_columns(plant.Q, order, plant.scalar), held)
             factors = factors.named(builder, "next_factors")
             found, covariance = {"predicted_factors": factors.packed}, factors.covariance()
