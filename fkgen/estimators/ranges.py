@@ -2,7 +2,8 @@
 
 A row of y outside of its range counts as missing and is shown as rejected; a state is clamped into
 its range, its variance to at most the square of the range's width. A covariance is scaled by a
-diagonal matrix from both sides then, so it stays one, and correlations stay what they are. Inside
+diagonal matrix from both sides then, so it stays one, and correlations stay what they are, those
+with what y tells of beside the state too. Inside
 its ranges a filter computes what it computes without them, bit by bit.
 """
 
@@ -86,13 +87,14 @@ class _Confinement:
 
     def __init__(self, recursion: Recursion, phase: Phase, estimates: Mapping[str, Port]) -> None:
         self.model, self.phase, self.estimates = recursion.spec.model, phase, estimates
-        self.order = recursion.factor_order
+        self.order, self.beside = recursion.factor_order, recursion.beside
         self.local: dict[str, str] = {}  # of ports that were written so far
 
     def confined(self, rows: Sequence[int]) -> Phase:
         """The phase; of an update with the ``rows`` of y that have a range."""
         wanted = {*self.estimates, *([_REJECTED] if rows else [])}
         wanted |= {_factors_of(name) for name in self.estimates} if self.order else set()
+        wanted |= {self.beside[name][0] for name in self.estimates if name in self.beside}
         blocks = tuple(self._renamed(block, wanted) for block in self.phase.blocks)
         symbols = dict(self.phase.symbols)
         symbols |= {self._read(place): symbol for place, symbol in symbols.items()}
@@ -145,12 +147,11 @@ class _Confinement:
         local = self.local[port.name]
         raw, size = builder.symbol(local), port.shape[-1]
         if port.symmetric:
-            factors = self.local.get(_factors_of(port.name), "")
-            for begin in range(0, port.size, len(triangle(size))):
-                self._scale(builder, local, begin, factors)
-            self._copy(builder, port.name, port.size)
-            if factors:
-                self._copy(builder, _factors_of(port.name), port.size)
+            for at in range(port.size // len(triangle(size))):
+                self._scale(builder, port.name, at)
+            also = _factors_of(port.name), self.beside.get(port.name, ("",))[0]
+            for name in (port.name, *filter(self.local.__contains__, also)):
+                self._copy(builder, name)
             return
         values = ca.vertsplit(raw)
         for begin in range(0, port.size, size):
@@ -159,9 +160,13 @@ class _Confinement:
                 values[at] = ca.fmin(ca.fmax(values[at], each.low), each.high)
         builder.assign({port.name: column(values)})
 
-    def _scale(self, builder: PhaseBuilder, local: str, begin: int, factors: str) -> None:
-        """Rows and columns of variances that are too large, and of their factors if there are."""
-        n = self.model.ne
+    def _scale(self, builder: PhaseBuilder, name: str, at: int) -> None:
+        """Rows and columns of variances that are too large, of the covariance ``at`` of a port.
+
+        And of its factors, if there are any, and of what covariance it has with numbers beside x.
+        """
+        n, local = self.model.ne, self.local[name]
+        begin = at * len(triangle(n))
         for each in self.model.ranged:
             row, most = each.error, (each.high - each.low) ** 2
             own = begin + packed(row, row)
@@ -169,8 +174,8 @@ class _Confinement:
             scale = builder.local(f"scale_{local}_{own}", 1, initial=1.0)
             with builder.if_positive(excess):
                 builder.assign({scale.name(): ca.sqrt(most / builder.at(local, own))})
-                if factors:
-                    self._scale_factors(builder, At(factors, begin), row, scale)
+                self._scale_factors(builder, (name, at), row, scale)
+                self._scale_beside(builder, (name, at), row, scale)
                 if len(triangle(n)) <= LOOPED:
                     for other in (i for i in range(n) if i != row):
                         place = At(local, begin + packed(max(row, other), min(row, other)))
@@ -182,22 +187,45 @@ class _Confinement:
                         self._times(builder, At(local, begin + packed(j, row)), scale)
                 builder.assign({At(local, own): ca.SX(most)})
 
-    def _scale_factors(self, builder: PhaseBuilder, first: At, row: int, scale: ca.SX) -> None:
+    def _scale_factors(
+        self, builder: PhaseBuilder, which: tuple[str, int], row: int, scale: ca.SX
+    ) -> None:
         """U and D of the covariance that has one row and its column scaled: S U S^-1 and S D S."""
-        at, n = self.order.index(row), self.model.ne
-        shares = {packed(j, at): scale for j in range(at + 1, n)}
+        factors = self.local.get(_factors_of(which[0]))
+        if factors is None:
+            return
+        at, sizes = self.order.index(row), [self.model.ne + r for r in self._counts(*which)]
+        shares = {packed(j, at): scale for j in range(at + 1, sizes[-1])}
         shares |= {packed(at, i): 1 / scale for i in range(at)}
         shares[packed(at, at)] = scale * scale
-        places = {replace(first, index=first.index + k): share for k, share in shares.items()}
+        begin = sum(len(triangle(size)) for size in sizes[:-1])
+        places = {At(factors, begin + k): share for k, share in shares.items()}
         builder.assign({place: builder.read(place) * share for place, share in places.items()})
+
+    def _scale_beside(
+        self, builder: PhaseBuilder, which: tuple[str, int], row: int, scale: ca.SX
+    ) -> None:
+        """Column ``row`` of the covariance of numbers beside x with x."""
+        if which[0] not in self.beside:
+            return
+        name, numbers = self.beside[which[0]]
+        local, counts = self.local[name], self._counts(*which)
+        width, begin = builder.symbol(local).numel() // sum(numbers), sum(counts[:-1])
+        for k in range(begin, begin + counts[-1]):
+            self._times(builder, At(local, k * width + row), scale)
+
+    def _counts(self, name: str, at: int) -> tuple[int, ...]:
+        """How many numbers are beside x in the covariances of a port, up to this one."""
+        return self.beside[name][1][: at + 1] if name in self.beside else (0,) * (at + 1)
 
     @staticmethod
     def _times(builder: PhaseBuilder, place: At, scale: ca.SX) -> None:
         builder.assign({place: builder.read(place) * scale})
 
-    def _copy(self, builder: PhaseBuilder, name: str, size: int) -> None:
+    def _copy(self, builder: PhaseBuilder, name: str) -> None:
         """A covariance to its port, or factors of one."""
         local = self.local[name]
+        size = builder.symbol(local).numel()
         if size <= LOOPED:
             builder.assign({name: builder.symbol(local)})
             return

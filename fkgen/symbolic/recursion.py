@@ -218,6 +218,9 @@ class Recursion:
     #: Of the covariance update, "short", "joseph" or "ud"; None where nothing is updated
     form: Literal["short", "joseph", "ud"] | None = None
     factor_order: tuple[int, ...] = ()  # Of states in the rows of factors, in the form "ud"
+    #: What y tells of beside x, by the port of a covariance of x: the port of its covariance with
+    #: x, by rows, and how many numbers it is of, for each of the covariances in the first
+    beside: Mapping[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     ranged: bool = False  # Whether it observes the ranges that the spec states of signals
     #: Statuses in place of OK, the first that applies

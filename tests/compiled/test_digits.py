@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from digits import kalman, shortfall, windows
+from digits import exact, kalman, shortfall, unscented, windows
 from plants import built
 
 import fkgen
@@ -92,6 +92,7 @@ RECORDS = {
     "dense": ("kf", dense(1.7e6), 2000, 0.3),
     "dense, wide": ("kf", dense(1e11), 500, 0.3),
     "dense, steps": ("iekf", dense(1e8), 300, 0.3),
+    "dense, points": ("ukf", dense(1e8), 300, 0.2),
     "seasons": ("kf", seasons(1e10), 300, 0.1),
 }
 
@@ -127,6 +128,52 @@ def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ra
     plant = spec(model, family, faults={"soft": soft}, filter={"test": False})
     run = built(plant).run(y)
     found = shortfall(run, windows(model, y, soft["host"], 20), np.array(model["C"]))
+    assert found["refused"] == 0
+    assert found["least"] > 0.0
+    assert {key: found[key] for key in PROMISED if not found[key] < PROMISED[key]} == {}
+
+
+def curved(bent, seen):
+    """The chain with squares in f and h of these shares; f and h of arrays of objects."""
+    names = {"states": ("a", "b", "c"), "outputs": ("p", "r")}
+    model = {what: [{"name": each} for each in own] for what, own in names.items()}
+    model |= {name: chain(1e8)[name] for name in ("Q", "x0", "P0")} | {
+        "R": [[1.0, 0.25], [0.25, 4.0]]
+    }
+    model["f"] = {"a": f"a + 0.125*b - {bent}*a*a", "b": "b + 0.125*c", "c": "0.9375*c"}
+    model["h"] = {"p": f"a + {seen}*a*a", "r": f"a + c + {seen}*b*c"}
+    steps, one, bent, seen = (
+        exact([0.125, 0.9375]),
+        exact(1.0)[()],
+        exact(bent)[()],
+        exact(seen)[()],
+    )
+
+    def f(x):
+        a, b, c = x
+        return np.array([a + steps[0] * b - bent * a * a, b + steps[0] * c, steps[1] * c]) * one
+
+    def h(x):
+        a, b, c = x
+        return np.array([a + seen * a * a, a + c + seen * b * c]) * one
+
+    return model, f, h
+
+
+@pytest.mark.parametrize(
+    ("bent", "seen", "kappa"), [(0.0, 2.0**-20, 0), (2.0**-20, 2.0**-20, 1), (2.0**-20, 0.0, 0)]
+)
+def test_float_keeps_it_where_points_go_through_curves(bent, seen, kappa):
+    model, f, h = curved(bent, seen)
+    model |= {name: stored(model[name]).tolist() for name in ("Q", "R", "x0", "P0")}
+    rng, x, y = np.random.default_rng(3), exact(np.zeros(3)), []
+    for _ in range(300):
+        y.append(h(x).astype(float) + rng.normal(size=2))
+        x = f(x) + exact(rng.normal(size=3) * np.sqrt(np.diag(model["Q"])))
+    y = stored(y)
+    y[rng.random(y.shape) < 0.2] = np.nan
+    run = built(spec(model, "ukf", filter={"kappa": float(kappa)})).run(y)
+    found = shortfall(run, unscented(model, y, f, h, kappa), np.array(chain(1.0)["C"]))
     assert found["refused"] == 0
     assert found["least"] > 0.0
     assert {key: found[key] for key in PROMISED if not found[key] < PROMISED[key]} == {}
@@ -195,7 +242,7 @@ def test_two_updates_are_one_with_both_and_missing_samples_pass():
 def test_what_has_no_factors_says_so():
     model, _ = drawn(dense(1.0), 1, 0.0)
     with pytest.raises(SpecError, match=r"code\.update.*ud"):
-        fkgen.validate(spec(model, family="ukf", update="ud"))
+        fkgen.validate(spec(model, update="ud", filter={"lag": 2}))
     looped = spec(model, update="ud")
     with pytest.raises(SpecError, match="loops"):
         fkgen.validate(replace(looped, code=replace(looped.code, form="loops")))

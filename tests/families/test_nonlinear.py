@@ -57,9 +57,14 @@ SHORT = {"outputs": [{"name": "ax"}, {"name": "my"}], "h": {"ax": "a[0]", "my": 
 SHORT |= {"R": [[0.4, 0.1], [0.1, 0.3]]}
 
 
+@pytest.mark.parametrize(
+    ("family", "options"),
+    [("iekf", {"iterations": 2}), ("ukf", {}), ("ukf", {"kappa": 1.5})],
+    ids=["iekf", "ukf", "ukf with a centre"],
+)
 @pytest.mark.parametrize(("case", "rows"), [("circle", {}), ("attitude", SHORT)])
-def test_steps_of_iekf_are_the_same_in_factors(case, rows):
-    plant = spec_of(case, "iekf", iterations=2, code={"update": "ud"}, model=rows)
+def test_steps_and_points_are_the_same_in_factors(case, rows, family, options):
+    plant = spec_of(case, family, code={"update": "ud"}, model=rows, **options)
     y, u, params = record_of(plant)
     compared(interpreted(plant, y, u, params), in_numpy(plant, y, u, params), EXACT)
 

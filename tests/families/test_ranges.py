@@ -98,10 +98,68 @@ def test_the_filter_is_the_one_with_guards_in_numpy(guarded):
     np.testing.assert_array_equal(run.status, np.where(out, 2, np.where(missing, 1, 0)))
 
 
-@pytest.mark.parametrize("family", ["kf", "iekf", "mkf", "genie", "mme", "one_step", "paper"])
+#: What y tells of beside the state: of the noise of x, or of which inputs arrive.
+S, D = np.array([[0.04, 0.01], [0.0, -0.06]]), np.array([[0.0], [0.4]])
+WIDE = 9.0 * R  # so that variances are clamped where rows are present
+
+
+def beside(which, rate=0.7):
+    """A spec in which y does, and y = H (x, e) + v, v with S of e, e of variance V, x moved by G e.
+
+    H, G and V are of u. Of `kf` e is the noise of x; of `mkf` an input, above its mean.
+    """
+    given = table(of_y=(None, None))
+    given["model"]["R"] = WIDE
+    if which == "S":
+        given["model"]["S"] = S
+        return given, lambda _: (np.hstack([C, np.zeros((2, 2))]), np.eye(2), Q, 0.0 * Q, S)
+    given["model"]["D"] = D
+    given["filter"], given["faults"] = {"family": "mkf"}, {"actuator": {"success_rate": rate}}
+    V, none = np.array([[rate * (1.0 - rate)]]), np.zeros((1, 2))
+    return given, lambda u: (np.hstack([C, D * u]), B * u, V, Q, none)
+
+
+@pytest.mark.parametrize("which", ["S", "D"])
+@pytest.mark.parametrize("form", ["joseph", "ud"])
+def test_what_y_tells_of_beside_a_state_is_clamped_with_it(which, form):
+    """A correction widens nothing: what is clamped after one is the first after a wide prior."""
+    given, of = beside(which)
+    filter_, width = build({**given, "code": {"update": form}}), np.diff(X)[:, 0]
+    mean, direct, clamps = (0.7, 0.7 * D, 0) if which == "D" else (1.0, 0.0 * D, 0)
+    for k in range(60):
+        x, P = x0, P0
+        run = filter_.run(y[k : k + 3], u[k : k + 3])
+        for i in range(3):
+            (now,), measured = u[k + i], y[k + i]
+            H, G, V, rest, shared = of(now)
+            rows = np.flatnonzero(~np.isnan(measured))
+            joint = np.block([[P, np.zeros((2, len(V)))], [np.zeros((len(V), 2)), V]])
+            told = joint @ H.T + np.vstack([np.zeros((2, 2)), shared])
+            whole = H @ joint @ H.T + WIDE
+            K = told[:, rows] @ np.linalg.inv(whole[np.ix_(rows, rows)])
+            both = np.r_[x, 0.0 * V[0]] + K @ (measured - C @ x - direct[:, 0] * now)[rows]
+            joint = joint - K @ told[:, rows].T
+            scale = np.r_[np.minimum(1.0, width / np.sqrt(np.diag(joint)[:2])), np.ones(len(V))]
+            clamps += bool((scale < 1.0).any() and len(rows))
+            joint = scale[:, None] * joint * scale
+            np.testing.assert_allclose(run.filtered_covariance[i], joint[:2, :2], atol=1e-12)
+            x, through = np.clip(both[:2], *np.array(X).T), np.hstack([A, G])
+            np.testing.assert_allclose(run.filtered_state[i], x, atol=1e-12)
+            x = A @ x + mean * B[:, 0] * now + G @ both[2:]
+            x, P = clamped(x, through @ joint @ through.T + rest)
+            np.testing.assert_allclose(run.predicted_state[i], x, atol=1e-12)
+            np.testing.assert_allclose(run.predicted_covariance[i], P, atol=1e-12)
+    assert clamps > 20
+
+
+@pytest.mark.parametrize(
+    "family", ["kf", "iekf", "mkf", "genie", "mme", "mme, D", "one_step", "paper"]
+)
 def test_factors_are_clamped_as_their_covariance_is(family):
     """The Joseph form is clamped by entries of P, factors by rows of U and D: one filter."""
     given = table(of_y=(None, None))
+    if family == "mme, D":
+        family, given["model"]["D"] = "mme", D
     given["model"]["A"] = np.tril(A)  # rows of U are not in the order of states
     given["filter"] = {"family": family}
     sensor = {"problem": 1, "gamma_rate": 0.9, "delta_nominal_rate": 0.8, "noise_factor": 9.0}

@@ -73,6 +73,50 @@ def windows(model, y, host, window):
     return tuple(map(np.array, zip(*found, strict=True)))
 
 
+def lower_root(P):
+    """Cholesky's factor of a positive definite matrix."""
+    L = P * 0
+    for j in range(len(P)):
+        left = P[j:, j] - L[j:, :j] @ L[j, :j]
+        L[j:, j] = left / left[0].sqrt()
+    return L
+
+
+def unscented(model, y, f, h, kappa=0):
+    """The same of points of equal weights, and a centre, through an f and an h of decimals."""
+    Q, R, P, x = (exact(model[name]) for name in ("Q", "R", "P0", "x0"))
+    found = []
+    for now in np.asarray(y, float):
+        rows = np.flatnonzero(~np.isnan(now))
+        errors, weights = _points(P, kappa)
+        seen = np.array([h(x + each) for each in errors])
+        mean = weights @ seen
+        apart = seen - mean
+        S, shared = (each.T @ (weights[:, None] * apart) for each in (apart, errors))
+        S = S + R
+        if len(rows):
+            K = solved(S[np.ix_(rows, rows)], shared[:, rows].T).T
+            x, P = x + K @ (exact(now[rows]) - mean[rows]), P - K @ shared[:, rows].T
+            P = (P + P.T) / 2
+        found.append([each.astype(float) for each in (x, P, S)])
+        errors, weights = _points(P, kappa)
+        moved = np.array([f(x + each) for each in errors])
+        x = weights @ moved
+        P = (moved - x).T @ (weights[:, None] * (moved - x)) + Q
+    return tuple(map(np.array, zip(*found, strict=True)))
+
+
+def _points(P, kappa):
+    """Errors of an estimate, and their weights."""
+    n, kappa = len(P), Decimal(kappa)
+    columns = ((n + kappa).sqrt() * lower_root(P)).T
+    weights = [1 / (2 * (n + kappa))] * (2 * n)
+    centre = [kappa / (n + kappa)] if kappa else []
+    return np.vstack([*([P[:1] * 0] if kappa else []), columns, -columns]), np.array(
+        centre + weights
+    )
+
+
 def shortfall(run, expected, C):
     """How far a float run is from 60 digits, by what is promised of it, largest over all samples.
 

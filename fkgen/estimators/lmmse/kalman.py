@@ -105,7 +105,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, past, with_gain=with_gain)
     beside = size + len(moved_by_noise(plant))
-    factored = has_factors(plant) and not (past.anything or (beside and spec.model.ranged))
+    factored = has_factors(plant) and not past.anything
     form = update_form(spec, plant, augmented=size > 0, factored=factored)
     notes = (*gate_notes(spec), *past.notes(curved=plant.lifted is not None))
     order = order_of((plant,)) if form == "ud" else ()
@@ -129,6 +129,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         predict=prediction(spec, plant, symbols, with_gain=with_gain, order=order, past=past),
         form=form,
         factor_order=order,
+        beside={"filtered_covariance": (_deviation_ports(plant)[2], (beside,))} if beside else {},
         outcomes=(*gate_outcomes(spec), *past.delays.outcomes),
         notes=notes,
         repeats=None if size or plant.S.nnz() or past.replay else correlated_rows((plant.R,)),

@@ -138,8 +138,9 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         raise InternalError("mme without actuator faults")
     sensed = plant.D.nnz() > 0
     random = tuple(len(_random_rates(rates)) if sensed else 0 for rates in options.hypotheses)
-    factored = has_factors(plant) and not (any(random) and spec.model.ranged)
-    form = update_form(spec, plant, augmented=any(random), factored=factored, many=len(random))
+    form = update_form(
+        spec, plant, augmented=any(random), factored=has_factors(plant), many=len(random)
+    )
     ports, start = _ports(spec, random), None
     order: tuple[int, ...] = ()
     if form == "ud":
@@ -168,6 +169,9 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         predict=_predict(bank),
         form=bank.form,
         factor_order=order,
+        beside=(
+            {"mode_filtered_covariance": ("mode_deviation_cross", random)} if any(random) else {}
+        ),
         repeats=None if any(random) else correlated_rows((plant.R,)),
         notes=(
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",

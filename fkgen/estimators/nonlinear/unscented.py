@@ -4,6 +4,9 @@ Julier & Uhlmann 1997. Points lie at plus and minus the columns of s L, P = L L'
 if it has a weight: all have weights 1 / (2 s^2) but for the centre, s^2 = N + kappa. With the half
 differences b and the deviations a of the middles of opposite points, moments are M = b / s, the
 derivative by errors in units of L, and a a' / s^2, which acts like noise.
+
+In factors P = U D U' with rows from the last state to the first, L is U sqrt(D). What y says is
+about errors in units of the columns of U, and the deviations of points are put into factors.
 """
 
 from __future__ import annotations
@@ -22,11 +25,20 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     finite,
+    has_factors,
     measurement_of,
     update_form,
 )
 from fkgen.estimators.gaussian.rows import Form
-from fkgen.estimators.gaussian.sequential import Conditioned, condition
+from fkgen.estimators.gaussian.sequential import Conditioned, Prior, condition
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    factors_note,
+    noise_columns,
+    order_of,
+    reciprocal,
+    started,
+)
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -34,6 +46,7 @@ from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, box_minus, box_plus, shifted, turned_by
 from fkgen.symbolic.lifting.linearise import demand_decided, demand_variances, seen_from
 from fkgen.symbolic.linalg import (
+    column,
     congruence,
     outer_lower,
     pack,
@@ -44,7 +57,7 @@ from fkgen.symbolic.linalg import (
     unpack,
 )
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
+from fkgen.symbolic.ports import factor_ports, innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: A pivot of a covariance below this share of its variance is the zero of a semidefinite one.
@@ -56,24 +69,39 @@ ROUNDED = {"double": 1e-28, "float": 1e-12}
 
 def unscented_filter(spec: Spec, *, source: str) -> Recursion:
     """Build the recursion of ``ukf``."""
-    plant = plant_of(spec)
+    plant, kappa = plant_of(spec), spec.filter.options.kappa
+    factored = has_factors(plant) and (_is_plain(plant)[1] or not plant.noise_free)
+    form = update_form(spec, plant, augmented=False, factored=factored)
+    order: tuple[int, ...] = ()
+    if form == "ud":  # that of Cholesky's factor where points are drawn
+        order = order_of((plant,)) if all(_is_plain(plant)) else tuple(reversed(range(plant.ne)))
     ports = (*state_ports(spec), *innovation_ports(spec))
-    symbols = symbols_of(spec, plant, ports)
-    form = update_form(spec, plant, augmented=False)
-    lifted, kappa = plant.lifted, spec.filter.options.kappa
-    if lifted is None or lifted.plain[0]:  # moments of sums are exact without points
-        predict = prediction(spec, plant, symbols, with_gain=False)
+    ports = (*factor_ports(plant.ne), *ports) if order else ports
+    symbols, start = symbols_of(spec, plant, ports), None
+    if order:
+        begun = {"predicted_factors": 1, "filtered_factors": 1}
+        start = started(spec, symbols, begun, order)
+    if plant.lifted is None or _is_plain(plant)[0]:  # moments of sums are exact without points
+        predict = prediction(spec, plant, symbols, with_gain=False, order=order)
     else:
-        predict = _predict(plant, symbols, lifted, kappa)
+        predict = _predict(plant, symbols, plant.lifted, (kappa, order))
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        update=_update(plant, symbols, form, kappa),
+        start=start,
+        update=_update(plant, symbols, (form, order), kappa),
         predict=predict,
         form=form,
+        factor_order=order,
+        notes=factors_note(order, spec),
         repeats=correlated_rows((plant.R,)),
     )
+
+
+def _is_plain(plant: Plant) -> tuple[bool, bool]:
+    """Whether f and h are sums of multiples of the state."""
+    return (True, True) if plant.lifted is None else plant.lifted.plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +139,17 @@ class Points:
         squares = [outer_lower(each, each) for each in deviations]
         return self.mean(squares)
 
+    def factors(
+        self, deviations: Sequence[ca.SX], noise: tuple[ca.SX, ca.SX], like: Factors
+    ) -> Factors:
+        """The same as factors, with columns of noise and their weights added."""
+        weights = [ca.SX(0.5 / self.square)] * len(deviations)
+        if self.kappa:
+            weights[0] = ca.SX(self.kappa / self.square)
+        nothing = replace(like, unit=ca.SX.eye(like.size), scale=ca.SX(like.size, 1))
+        columns = ca.horzcat(*deviations, noise[0])
+        return nothing.moved(ca.SX(like.size, like.size), columns, ca.vertcat(*weights, noise[1]))
+
     def halves(self, deviations: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
         """M', (p, N), and the packed covariance of what M does not say."""
         left = list(deviations)
@@ -125,26 +164,29 @@ class Points:
         return sparse(ca.horzcat(*slopes)), curved
 
 
-def _update(plant: Plant, symbols: dict[str, ca.SX], form: Form, kappa: float) -> Phase:
-    builder = PhaseBuilder(symbols)
-    prior, y, u = (
-        (symbols["predicted_state"], symbols["predicted_covariance"]),
-        symbols["y"],
-        symbols["u"],
-    )
-    demand_positive(builder, prior[1])
+def _update(
+    plant: Plant, symbols: dict[str, ca.SX], how: tuple[Form, tuple[int, ...]], kappa: float
+) -> Phase:
+    builder, (form, order) = PhaseBuilder(symbols), how
+    x, y, u = (symbols[name] for name in ("predicted_state", "y", "u"))
+    held: ca.SX | Factors = symbols["predicted_covariance"]
+    if order:
+        held = Factors.of(symbols["predicted_factors"], order, plant.scalar)
+    demand_positive(builder, held)
     plant = bound(builder, plant, "CDRd")
     if plant.lifted is None or plant.lifted.plain[1]:
-        (plant,) = seen_from(builder, [plant], prior[:1], u)
-        found, posterior = correct(builder, plant, certain(u), prior, y=y, form=form)
-        state, covariance = posterior.state, posterior.covariance
+        (plant,) = seen_from(builder, [plant], (x,), u)
+        found, posterior = correct(builder, plant, certain(u), (x, held), y=y, form=form)
+        state, covariance, factors = posterior.state, posterior.covariance, posterior.factors
     else:
-        root = lower_root(builder, prior[1], NO_PIVOT[plant.scalar])
-        given = plant.lifted, (prior[0], root), (y, u)
-        found = _seen(builder, plant, given, (form, kappa))
-        state, covariance = _corrected(builder, plant, prior[0], root, found)
+        root = _root(builder, held, plant.scalar)
+        found = _seen(builder, plant, (plant.lifted, (x, held, root), (y, u)), (form, kappa))
+        units = held.in_rows()[:, list(order)] if isinstance(held, Factors) else root
+        state, covariance, factors = _corrected(builder, plant, x, units, found)
     demand_finite(builder, state)
     results = {"filtered_state": state, "filtered_covariance": covariance}
+    if factors is not None:
+        results["filtered_factors"] = factors.packed
     with builder.titled("results of the update"):
         builder.assign(results | innovation_results(found))
     return builder.phase()
@@ -153,11 +195,11 @@ def _update(plant: Plant, symbols: dict[str, ca.SX], form: Form, kappa: float) -
 def _seen(
     builder: PhaseBuilder,
     plant: Plant,
-    given: tuple[Lifted, tuple[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
+    given: tuple[Lifted, tuple[ca.SX, ca.SX | Factors, ca.SX], tuple[ca.SX, ca.SX]],
     how: tuple[Form, float],
 ) -> Conditioned:
-    """Errors in units of the root of the covariance, given y."""
-    lifted, (state, root), (y, u) = given
+    """Errors given y, in units of the root of the covariance, or of the columns of U."""
+    lifted, (state, held, root), (y, u) = given
     points = Points.of(builder, root, how[1])
     with builder.titled("h of the points"):
         each = [box_plus(state, e, plant.attitudes) for e in points.errors]
@@ -180,9 +222,15 @@ def _seen(
         S, R, M = M.T, unpack(congruence(M, ca.SX.eye(n)) + pack(R), plant.ny), ca.SX(*M.shape)
     elif not plant.R.is_constant():
         _demand_noise(builder, plant, (M, R, mean))
+    prior: Prior = ca.SX.zeros(n), ca.SX.eye(n)
+    if isinstance(held, Factors):
+        prior = prior[0], replace(held, unit=ca.SX.eye(n))
+        scales = (held.scale[held.order.index(i)] for i in range(n))
+        inverses = [reciprocal(ca.sqrt(each), held.scalar)[0] for each in scales]
+        (M,) = builder.name_all("M_of_units", (M @ ca.diag(column(inverses)),))
     stated = measurement_of(plant, y=y, C=M, offset=ca.SX.zeros(plant.ny), R=R)
     stated = replace(stated, predicted=mean, S=S)
-    return condition(builder, (ca.SX.zeros(n), ca.SX.eye(n)), stated, form=how[0])
+    return condition(builder, prior, stated, form=how[0])
 
 
 def _demand_noise(builder: PhaseBuilder, plant: Plant, moments: tuple[ca.SX, ca.SX, ca.SX]) -> None:
@@ -195,21 +243,41 @@ def _demand_noise(builder: PhaseBuilder, plant: Plant, moments: tuple[ca.SX, ca.
 
 
 def _corrected(
-    builder: PhaseBuilder, plant: Plant, state: ca.SX, root: ca.SX, found: Conditioned
-) -> tuple[ca.SX, ca.SX]:
-    """The state moved by errors, and its packed covariance, turned with it."""
-    errors = builder.define("correction", root @ found.mean)
+    builder: PhaseBuilder, plant: Plant, state: ca.SX, units: ca.SX, found: Conditioned
+) -> tuple[ca.SX, ca.SX, Factors | None]:
+    """The state moved by errors, its packed covariance, turned with it, and factors if any."""
+    errors = builder.define("correction", units @ found.mean)
     state = shifted(state, errors, plant.attitudes)
     if plant.attitudes:
-        (root,) = builder.name_all("turned", (turned_by(plant.attitudes, errors) @ root,))
-    return state, row_congruence(root, unpack(found.covariance, plant.ne))
+        (units,) = builder.name_all("turned", (turned_by(plant.attitudes, errors) @ units,))
+    if found.factors is None:
+        return state, row_congruence(units, unpack(found.covariance, plant.ne)), None
+    factors = found.factors.moved(units, ca.SX(plant.ne, 0), ca.SX(0, 1))
+    factors = factors.named(builder, "corrected_factors")
+    return state, factors.covariance(), factors
 
 
-def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: float) -> Phase:
-    builder = PhaseBuilder(symbols)
+def _root(builder: PhaseBuilder, held: ca.SX | Factors, scalar: str) -> ca.SX:
+    """Cholesky's factor of a packed covariance, or of factors from the last state to the first."""
+    if not isinstance(held, Factors):
+        return lower_root(builder, held, NO_PIVOT[scalar])
+    scaled = held.in_rows() @ ca.diag(ca.sqrt(held.scale))
+    return builder.name_all("root", (sparse(scaled[:, list(held.order)]),))[0]
+
+
+def _predict(
+    plant: Plant,
+    symbols: dict[str, ca.SX],
+    lifted: Lifted,
+    how: tuple[float, tuple[int, ...]],
+) -> Phase:
+    builder, (kappa, order) = PhaseBuilder(symbols), how
     plant = bound(builder, plant, "Q")
     x, u = symbols["filtered_state"], symbols["u"]
-    root = lower_root(builder, symbols["filtered_covariance"], NO_PIVOT[plant.scalar])
+    held: ca.SX | Factors = symbols["filtered_covariance"]
+    if order:
+        held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
+    root = _root(builder, held, plant.scalar)
     demand_variances(builder, lifted)
     deviations = sparse(ca.diag(ca.sqrt(lifted.variances)))
     points = Points.of(builder, ca.diagcat(root, deviations), kappa)
@@ -230,10 +298,16 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: flo
         mean = builder.define("mean", mean)
         apart = [box_minus(z, mean, lifted) for z in values]
         spread = builder.name_distinct("deviation", apart)
-        covariance = points.covariance(spread) + pack(plant.Q)
+        found: dict[str, ca.SX] = {}
+        if isinstance(held, Factors):
+            factors = points.factors(spread, noise_columns(plant.Q, order, plant.scalar), held)
+            factors = factors.named(builder, "next_factors")
+            found, covariance = {"predicted_factors": factors.packed}, factors.covariance()
+        else:
+            covariance = points.covariance(spread) + pack(plant.Q)
     with builder.titled("prediction of the next sample"):
         builder.assign(
-            {"predicted_state": mean, "predicted_covariance": covariance},
+            {"predicted_state": mean, "predicted_covariance": covariance} | found,
             [finite(mean, covariance)],
         )
     return builder.phase()
