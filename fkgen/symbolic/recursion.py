@@ -50,6 +50,7 @@ class Condition:
     row: Whole | None
     positive: ca.SX | None = None
     present: bool = True
+    rare: bool = False  # Most samples do without
 
     def threshold(
         self, reads: Sequence[Target], symbols: Mapping[Target, ca.SX]
