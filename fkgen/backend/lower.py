@@ -188,7 +188,10 @@ class _Group:
         """The statements under their conditions."""
         body = tuple(self.statements)
         if self.value is not None:
-            body = (*self.before, ir.IfPositive(self.value, body, self.condition is not None and self.condition.rare))
+            body = (
+                *self.before,
+                ir.IfPositive(self.value, body, self.condition is not None and self.condition.rare),
+            )
         if self.condition is None or not self.condition.present:
             return body
         return (ir.IfPresent(self.condition.row, body),)

@@ -171,16 +171,26 @@ class Replay:
             longest = builder.define("longest_delay", longest)
             passage = _Passage(self, builder, plant, late, longest, symbols)
         with (
-            builder.titled("the last samples once more, for what is late"),
+            builder.titled("what is late, where loops find it"),
             _once(builder, longest - HALF, "once", rare=True),
         ):
             passage.prepare()
+        with (
+            builder.titled("the last samples once more, for what is late"),
+            _once(builder, longest - HALF, "once", rare=True),
+        ):
             place, count = symbols[PLACE], self.samples
             with builder.loop("turn", 0, 2) as turn, builder.loop("slot", 0, count) as slot:
                 before = place - builder.at("places", slot)  # samples, in the second turn
-                age = builder.define("replayed_age", before + count * (1 - builder.at("places", turn)))
+                age = builder.define(
+                    "replayed_age", before + count * (1 - builder.at("places", turn))
+                )
                 with _once(builder, ca.fmin(longest - age, age) + HALF, "visited"):
                     passage.visit(slot, age)
+        with (
+            builder.titled("what late rows tell, about what was known before this sample"),
+            _once(builder, longest - HALF, "once", rare=True),
+        ):
             passage.judge()
             passage.tell()
         return passage
@@ -284,7 +294,10 @@ class _Passage:
         builder = self.builder
         now = HALF - age
         with _once(builder, now, "own"):
-            state, covariance = self.symbols["predicted_state"], self.symbols["predicted_covariance"]
+            state, covariance = (
+                self.symbols["predicted_state"],
+                self.symbols["predicted_covariance"],
+            )
             builder.assign({"replayed_state": state, "replayed_covariance": covariance})
         with _once(builder, -now, "past"):
             self.copy_kept(slot)
@@ -332,7 +345,7 @@ class _Passage:
         """Some numbers from one array to another; a variable of one number is none."""
         builder = self.builder
         if size == 1:
-            one = [each.name if each.name.startswith(("r", "k")) else each for each in (to, source)]
+            one = [each.name if isinstance(each.index, int) else each for each in (to, source)]
             value = builder.symbol(one[1]) if isinstance(one[1], str) else builder.read(source)
             builder.assign({one[0]: value})
             return
@@ -348,7 +361,7 @@ class _Passage:
         with builder.loop("q", 0, m) as q:
             about = builder.at("late_flag", q) * _is(builder.at("late_by", q), value) - HALF
             with _once(builder, about, "begun"):
-                c = builder.define("late_row", self.row(sensed, q))
+                c = self.row(sensed, q)
                 mean = ca.dot(c, self.state) + builder.at(offsets, q)
                 seen = unpack(self.covariance, n) @ c
                 builder.assign({At("signal", q): mean})
@@ -362,7 +375,6 @@ class _Passage:
     def take(self, c: ca.SX, seen: ca.SX, variance: ca.SX) -> None:
         """Correct states, and what late rows saw, with a row of a past sample."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
-        c = builder.define("replayed_row", c)
         cross = builder.define("replayed_cross", unpack(self.covariance, n) @ c)
         pivot = builder.define("replayed_pivot", ca.dot(c, cross) + variance)
         builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
@@ -423,12 +435,11 @@ class _Passage:
                     left = self.row("revised_cross", j) - share * cross
                     self.put("revised_cross", j, left)
         builder.assign({"known_state": x, "known_covariance": P, At(WRITTEN, slot): ca.SX(1)})
-        builder.assign({At(STATE, n * slot + i): x[i] for i in range(n)})
-        builder.assign({At(COVARIANCE, entries * slot + i): P[i] for i in range(entries)})
+        self.copy(At(STATE, n * slot), At("revised_state", 0), n)
+        self.copy(At(COVARIANCE, entries * slot), At("revised_covariance", 0), entries)
         with _once(builder, age - HALF, "kept"):
             for name, size in self.replay.beside.items():
-                here = {At(name, size * slot + i): self.at(name, slot, size)[i] for i in range(size)}
-                builder.assign(here)
+                self.copy(At(name, size * slot), At(name, size * slot), size)
 
     def set_out(self) -> None:
         """Late rows before any of them is taken in."""

@@ -246,9 +246,7 @@ def _update(
     if replay is None:
         plant, kept = delays.measured(builder, plant, symbols)
     else:
-        passage = replay.corrected(
-            builder, plant, replay.kept(builder, plant, symbols), symbols
-        )
+        passage = replay.corrected(builder, plant, replay.kept(builder, plant, symbols), symbols)
         prior, kept = passage.prior(), tuple(map(passage.counts, range(plant.ny)))
     found, posterior = correct(
         builder,
