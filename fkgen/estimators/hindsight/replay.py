@@ -182,9 +182,7 @@ class Replay:
             place, count = symbols[PLACE], self.samples
             with builder.loop("turn", 0, 2) as turn, builder.loop("slot", 0, count) as slot:
                 before = place - builder.at("places", slot)  # samples, in the second turn
-                age = builder.define(
-                    "replayed_age", before + count * (1 - builder.at("places", turn))
-                )
+                age = builder.define("age", before + count * (1 - builder.at("places", turn)))
                 with _once(builder, ca.fmin(longest - age, age) + HALF, "visited"):
                     passage.visit(slot, age)
         with (
@@ -232,8 +230,8 @@ class _Passage:
         for name, size in sizes.items():
             builder.local(name, size)
         builder.assign(dict(zip(sizes, predicted, strict=True)))
-        self.state = builder.local("replayed_state", n, initial=0.0)
-        self.covariance = builder.local("replayed_covariance", entries, initial=0.0)
+        self.state = builder.local("old_x", n, initial=0.0)
+        self.covariance = builder.local("old_P", entries, initial=0.0)
         self.mean, self.cross, self.own = self._signals("signal")
         builder.local("signal_seen", max(len(self.rows), 2), initial=0.0)
         self.nis = builder.local("late_nis", 1, initial=0.0)
@@ -298,7 +296,7 @@ class _Passage:
                 self.symbols["predicted_state"],
                 self.symbols["predicted_covariance"],
             )
-            builder.assign({"replayed_state": state, "replayed_covariance": covariance})
+            builder.assign({"old_x": state, "old_P": covariance})
         with _once(builder, -now, "past"):
             self.copy_kept(slot)
         with _once(builder, self.longest - age - HALF, "later"):
@@ -309,8 +307,8 @@ class _Passage:
     def copy_kept(self, slot: Whole) -> None:
         """Take up what is kept of a sample."""
         n, entries = self.replay.delays.n, len(triangle(self.replay.delays.n))
-        self.copy(At("replayed_state", 0), At(STATE, n * slot), n)
-        self.copy(At("replayed_covariance", 0), At(COVARIANCE, entries * slot), entries)
+        self.copy(At("old_x", 0), At(STATE, n * slot), n)
+        self.copy(At("old_P", 0), At(COVARIANCE, entries * slot), entries)
 
     def pass_over(self, slot: Whole, age: ca.SX) -> None:
         """From a past sample to the next one."""
@@ -361,7 +359,7 @@ class _Passage:
         with builder.loop("q", 0, m) as q:
             about = builder.at("late_flag", q) * _is(builder.at("late_by", q), value) - HALF
             with _once(builder, about, "begun"):
-                c = self.row(sensed, q)
+                c = builder.define("late_c", self.row(sensed, q))
                 mean = ca.dot(c, self.state) + builder.at(offsets, q)
                 seen = unpack(self.covariance, n) @ c
                 builder.assign({At("signal", q): mean})
@@ -375,16 +373,17 @@ class _Passage:
     def take(self, c: ca.SX, seen: ca.SX, variance: ca.SX) -> None:
         """Correct states, and what late rows saw, with a row of a past sample."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
-        cross = builder.define("replayed_cross", unpack(self.covariance, n) @ c)
+        c = builder.define("own_c", c)
+        cross = builder.define("old_Pc", unpack(self.covariance, n) @ c)
         pivot = builder.define("replayed_pivot", ca.dot(c, cross) + variance)
         builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-        inverse = builder.define("replayed_inverse", 1 / pivot)
+        inverse = builder.define("inverse", 1 / pivot)
         weight = (seen - ca.dot(c, self.state)) * inverse
-        weight = builder.define("replayed_weight", weight)
+        weight = builder.define("weight", weight)
         builder.assign(
             {
-                "replayed_state": self.state + cross * weight,
-                "replayed_covariance": self.covariance - outer_lower(cross * inverse, cross),
+                "old_x": self.state + cross * weight,
+                "old_P": self.covariance - outer_lower(cross * inverse, cross),
             }
         )
         with builder.loop("q", 0, m) as q:
@@ -412,22 +411,22 @@ class _Passage:
         """Correct a prediction with what is late and older."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
         entries = len(triangle(n))
-        builder.local("revised_state", n, initial=0.0)
-        builder.local("revised_covariance", entries, initial=0.0)
+        builder.local("new_x", n, initial=0.0)
+        builder.local("new_P", entries, initial=0.0)
         self._signals("revised")
-        builder.assign({"revised_state": self.state, "revised_covariance": self.covariance})
+        builder.assign({"new_x": self.state, "new_P": self.covariance})
         self.set_out()
-        x, P = builder.symbol("revised_state"), builder.symbol("revised_covariance")
+        x, P = builder.symbol("new_x"), builder.symbol("new_P")
         with builder.loop("q", 0, m) as q:
             older = builder.at("late_flag", q) * (builder.at("late_by", q) - age - HALF)
             with _once(builder, older, "older"):
                 inverse, known, shared, _ = self.given_late(q)
                 weight = builder.define("late_weight", known * inverse)
-                cross = builder.define("late_cross", self.row("revised_cross", q))
+                cross = builder.define("late_Pc", self.row("revised_cross", q))
                 builder.assign(
                     {
-                        "revised_state": x + cross * weight,
-                        "revised_covariance": P - outer_lower(cross * inverse, cross),
+                        "new_x": x + cross * weight,
+                        "new_P": P - outer_lower(cross * inverse, cross),
                     }
                 )
                 with builder.loop("j", 0, m) as j:
@@ -435,8 +434,8 @@ class _Passage:
                     left = self.row("revised_cross", j) - share * cross
                     self.put("revised_cross", j, left)
         builder.assign({"known_state": x, "known_covariance": P, At(WRITTEN, slot): ca.SX(1)})
-        self.copy(At(STATE, n * slot), At("revised_state", 0), n)
-        self.copy(At(COVARIANCE, entries * slot), At("revised_covariance", 0), entries)
+        self.copy(At(STATE, n * slot), At("new_x", 0), n)
+        self.copy(At(COVARIANCE, entries * slot), At("new_P", 0), entries)
         with _once(builder, age - HALF, "kept"):
             for name, size in self.replay.beside.items():
                 self.copy(At(name, size * slot), At(name, size * slot), size)
