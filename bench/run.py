@@ -23,6 +23,7 @@ from rivals.contenders import FLAGS  # noqa: E402
 from tables import (  # noqa: E402
     anchors,
     batches,
+    delays,
     extended,
     files,
     growth,
@@ -45,6 +46,7 @@ PARTS = {
     "hand": steps.against_hand,
     "libraries": steps.against_libraries,
     "imm": switching.models_side_by_side,
+    "late": delays.late_rows,
     "missing": switching.missing_sample,
     "rates": rates.rates,
     "families": steps.families,

@@ -58,7 +58,17 @@ class Contender:
         body = HERE / "c" / "loop.c"
         kind = () if extra else ("-shared",)
         return [
-            [driver, *flags, level, *defines, *include, "-c", str(self.source), "-o", str(step)],
+            [
+                driver,
+                *flags,
+                *level.split(),
+                *defines,
+                *include,
+                "-c",
+                str(self.source),
+                "-o",
+                str(step),
+            ],
             [cc, *FLAGS, *around, *defines, *include, "-c", str(body), "-o", str(loop)],
             [driver, *kind, str(step), str(loop), "-lm", "-o", str(out)],
         ]
@@ -112,6 +122,12 @@ def of_spec(spec: fkgen.Spec, folder: Path) -> Contender:
     )
     defines = {"NY": p, "NU": q}
     return Contender(folder / name / f"{name}.c", header, defines, spec.code.scalar)
+
+
+def sizes(spec: models.Spec) -> dict[str, int]:
+    """Numbers of the instance by port."""
+    ports = fkgen.validate(fkgen.Spec.from_dict(spec)).recursion.ports
+    return {port.name: port.size for port in ports}
 
 
 def of_hand(spec: models.Spec, folder: Path, *, checks: bool) -> Contender:

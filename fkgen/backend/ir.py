@@ -206,10 +206,11 @@ class IfPresent:
 
 @dataclass(frozen=True, slots=True)
 class IfPositive:
-    """Run ``body`` if ``value`` is positive."""
+    """Run ``body`` if ``value`` is positive; if it is ``rare``, few samples do."""
 
     value: Operand
     body: Body
+    rare: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -432,7 +433,7 @@ class CProgram:
     attitudes: tuple[int, ...]  # Where quaternions begin in x
     sample_time: float | str | None  # seconds, or the parameter that holds them
     parameters: tuple[tuple[str, float], ...]
-    ports: tuple[Port, ...]
+    ports: tuple[Port, ...]  # Those with slots come last
     prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
     initial: tuple[tuple[str, tuple[float, ...]], ...]
     update: Phase
@@ -505,6 +506,11 @@ class CProgram:
         return tuple(port for port in self.written(self.update) if port.name in known)
 
     @property
+    def slotted(self) -> tuple[Port, ...]:
+        """Ports of which a sample writes some slots."""
+        return tuple(port for port in self.ports if port.slots)
+
+    @property
     def twins(self) -> tuple[tuple[Port, Port], ...]:
         """Predictions that updates read, with what an update makes of them."""
         known = {port.name: port for port in self.ports}
@@ -513,7 +519,8 @@ class CProgram:
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in _operations(*self.verbs.values()) if op.is_function)
+        every_phase = _operations(*self.verbs.values(), rare=True)
+        return frozenset(op for op in every_phase if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:
@@ -524,6 +531,12 @@ class CProgram:
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
         return _flops(self.update, self.predict)
+
+    @property
+    def rare_flops(self) -> int:
+        """What few samples have to do more, at most."""
+        every_phase = _operations(self.update, self.predict, rare=True)
+        return sum(n for op, n in every_phase.items() if not op.is_function) - self.flops
 
     @property
     def fused(self) -> int:
@@ -544,10 +557,10 @@ class CProgram:
         return 0 if self.closing is None else _flops(self.closing)
 
 
-def _operations(*phases: Phase) -> Counter[Operator]:
+def _operations(*phases: Phase, rare: bool = False) -> Counter[Operator]:
     found: Counter[Operator] = Counter()
     for phase in phases:
-        for node, times in counted(phase.body):
+        for node, times in counted(phase.body, rare=rare):
             if isinstance(node, Operate):
                 found[node.operator] += times
             elif isinstance(node, Product):
@@ -606,16 +619,16 @@ def walk(body: Body) -> Iterator[Statement]:
 
 
 def counted(
-    body: Body, loops: tuple[For, ...] = (), times: int = 1
+    body: Body, loops: tuple[For, ...] = (), times: int = 1, *, rare: bool = False
 ) -> Iterator[tuple[Statement, int]]:
-    """Every statement, and how often it is run if every condition holds."""
+    """Every statement, and how often it is run if every condition holds, rare ones if ``rare``."""
     for node in body:
         yield node, times
         if isinstance(node, For):
             around = (*loops, node)
-            yield from counted(node.body, around, _times(around, {}))
-        elif isinstance(node, Condition):
-            yield from counted(node.body, loops, times)
+            yield from counted(node.body, around, _times(around, {}), rare=rare)
+        elif isinstance(node, Condition) and (rare or not getattr(node, "rare", False)):
+            yield from counted(node.body, loops, times, rare=rare)
 
 
 def _times(loops: tuple[For, ...], known: Mapping[str, int]) -> int:

@@ -166,7 +166,9 @@ def lower_phase(
     ports: tuple[Port, ...], phase: sym.Phase, inputs: tuple[str, ...] = ("u", "y", OUTSIDE)
 ) -> ir.Phase:
     """Turn one phase into statements; ``inputs`` are arguments of the function, not members."""
-    lowering = _Lowering({port.name: bool(port.shape) for port in ports}, phase, inputs)
+    slotted = frozenset(port.name for port in ports if port.slots)
+    shaped = {port.name: bool(port.shape) for port in ports}
+    lowering = _Lowering(shaped, phase, inputs, slotted)
     for block in phase.blocks:
         lowering.take(block)
     return lowering.lowered()
@@ -187,7 +189,10 @@ class _Group:
         """The statements under their conditions."""
         body = tuple(self.statements)
         if self.value is not None:
-            body = (*self.before, ir.IfPositive(self.value, body))
+            body = (
+                *self.before,
+                ir.IfPositive(self.value, body, self.condition is not None and self.condition.rare),
+            )
         if self.condition is None or not self.condition.present:
             return body
         return (ir.IfPresent(self.condition.row, body),)
@@ -200,6 +205,7 @@ class _Lowering:
     ports: Mapping[str, bool]
     phase: sym.Phase
     inputs: tuple[str, ...]
+    slotted: frozenset[str] = frozenset()
     written: set[str] = field(default_factory=set)
     temps: Iterator[int] = field(default_factory=count)
     title: str = ""
@@ -223,7 +229,7 @@ class _Lowering:
                 last.value = self._instructions(threshold, block.reads, last.before)[0][0]
         last.begins.append(len(last.statements))
         if isinstance(block, sym.Loop):
-            last.statements.append(self._loop(block))
+            last.statements += self._loop(block)
             return
         function = block.function(self.phase.symbols)
         values = self._instructions(function, block.reads, last.statements)
@@ -253,8 +259,8 @@ class _Lowering:
         source = self._element(triangle.source, 0, read=True)
         return ir.Triangle(target, source, triangle.size, triangle.mirrored)
 
-    def _loop(self, loop: sym.Loop) -> ir.For:
-        """A loop with its blocks in groups of their own."""
+    def _loop(self, loop: sym.Loop) -> ir.Body:
+        """A loop with its blocks in groups of their own; one of one round is its body."""
         outer, self.groups = self.groups, []
         for block in loop.body:
             self.take(block)
@@ -262,9 +268,10 @@ class _Lowering:
         self.groups = outer
         written = {n.target.name for n in ir.every(ir.Assign, body) if n.target.space is Space.NEXT}
         for element in ir.read(Element, body):
-            if element.space is Space.SELF and element.name in written:
+            if element.space is Space.SELF and element.name in written - self.slotted:
                 raise InternalError(f"a loop reads {element.name} and writes it")
-        return ir.For(loop.index, loop.begin, loop.end, body)
+        node = ir.For(loop.index, loop.begin, loop.end, body)
+        return body if loop.end == loop.begin + 1 and not _depends(node) else (node,)
 
     def lowered(self) -> ir.Phase:
         """Everything taken so far; blocks under one condition are one chunk."""
@@ -354,10 +361,19 @@ class _Lowering:
         if name in self.inputs:
             return Element(Space.INPUT, name, index)
         if name in self.ports:
-            space = Space.SELF if read and name not in self.written else Space.NEXT
+            before = read and name not in self.written - self.slotted
+            space = Space.SELF if before else Space.NEXT
             return Element(space, name, index if self.ports[name] else None)
         size = self.phase.symbols[name].numel()
         return Element(Space.LOCAL, name, index if size > 1 else None)
+
+
+def _depends(loop: ir.For) -> bool:
+    """Whether what is done depends on the index of a loop."""
+    inner = (index for each in ir.every(ir.For, loop.body) for index in (each.begin, each.end))
+    rows = (each.row for each in ir.every(ir.IfPresent, loop.body))
+    places = (each.index for each in ir.elements(loop.body))
+    return loop.index in names_in(*inner, *rows, *places)
 
 
 def _same(a: sym.Condition | None, b: sym.Condition | None) -> bool:
@@ -372,7 +388,7 @@ def verify(program: ir.CProgram) -> ir.CProgram:
     sizes = {port.name: port.size for port in program.ports}
     sizes |= {"u": len(program.inputs), **dict.fromkeys(("y", OUTSIDE), len(program.outputs))}
     for phase in program.phases:
-        written |= _check_phase(program.name, phase)
+        written |= _check_phase(program, phase)
         _check_places(program.name, phase, sizes)
     ports = program.ports
     expected = {(port.name, i if port.shape else None) for port in ports for i in range(port.size)}
@@ -406,8 +422,9 @@ def _check_repeats(program: ir.CProgram) -> None:
         raise InternalError(f"{program.name}: no second update: something ends with the first")
 
 
-def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
+def _check_phase(program: ir.CProgram, phase: ir.Phase) -> set[tuple[str, int | None]]:
     """The results that a phase writes, and may then write again under a condition."""
+    name, slotted = program.name, {port.name for port in program.slotted}
     assigned: set[Temp] = set()
     written: set[tuple[str, int | None]] = set()
     unconditional = set(map(id, _unconditional(phase.body)))
@@ -425,7 +442,7 @@ def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:
             first = id(node) in unconditional
             for index in ir.places(node.target.index, loops):
                 place = node.target.name, index
-                if not first and place not in written:
+                if not first and place not in written and node.target.name not in slotted:
                     raise InternalError(f"{name}: {node.target} is written under a condition")
                 if first and place in written:
                     raise InternalError(f"{name}: {node.target} is written twice")

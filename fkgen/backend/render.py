@@ -332,7 +332,7 @@ def _order(c: Printer, outlined: Outline) -> dict[str, Any]:
         "closing": closing and f"{{}}{closing.unless} > {c.literal(0.0)}",
         "predicted": program.written(program.predict),
         "kept": [port for port in updated if port.role is Role.OUTPUT and port not in own],
-        "passed": program.accumulated,
+        "passed": [port for port in program.accumulated if not port.slots],
         "twins": [(port, twin, port not in updated) for port, twin in program.twins],
         "groups": [c.any_of(rows) for rows in program.repeats or ()],
     }
@@ -405,6 +405,7 @@ def cost(program: CProgram) -> str:
     text = [f"{program.flops} floating-point operations{joint}"]
     text += [f"{n} {function}" for function, n in _calls(program).items()]
     closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
+    closing += f"; with late rows at most {more} more" if (more := program.rare_flops) else ""
     return " and ".join(text) + closing
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -57,9 +57,15 @@ class PhaseBuilder:
         yield
         self._condition = None
 
-    def if_positive(self, positive: ca.SX) -> AbstractContextManager[None]:
-        """Blocks written inside run only if ``positive`` is, whatever rows are present."""
-        return self.if_present(None, positive, present=False)
+    @contextmanager
+    def if_positive(self, positive: ca.SX, *, rare: bool = False) -> Iterator[None]:
+        """Blocks written inside run only if ``positive`` is, whatever rows are present.
+
+        What is ``rare`` is no part of an ordinary sample.
+        """
+        self._condition = Condition(None, positive, present=False, rare=rare)
+        yield
+        self._condition = None
 
     @contextmanager
     def loop(self, index: str, begin: Whole, end: Whole) -> Iterator[Index]:

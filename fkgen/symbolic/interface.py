@@ -101,6 +101,9 @@ class Port:
     #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
     flags: bool = False
     inner: bool = False  # For the filter alone: a run keeps it only if it is asked for by name
+    #: A port with a number for each slot of this one: a sample writes those where it is positive,
+    #: each as a whole, and the others stay; what is read of a slot is what was there before
+    slots: str = ""
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
     #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
     prior: Literal["", "x", "P"] = ""

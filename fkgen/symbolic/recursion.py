@@ -50,6 +50,7 @@ class Condition:
     row: Whole | None
     positive: ca.SX | None = None
     present: bool = True
+    rare: bool = False  # Most samples do without
 
     def threshold(
         self, reads: Sequence[Target], symbols: Mapping[Target, ca.SX]
@@ -395,7 +396,8 @@ def _evaluated(
 def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
     """The phase with a guard on what it writes to ports, unless it is a copy or guarded already."""
     places = {port.name: _places(port, bounded=bounded) for port in ports}
-    copied = {e.element_hash() for name in places for e in ca.symvar(phase.symbols[name])}
+    of_ports = (symbol for key, symbol in phase.symbols.items() if name_of(key) in places)
+    copied = {e.element_hash() for symbol in of_ports for e in ca.symvar(symbol)}
     sound: set[int] = set()  # locals that a guard has seen since they were assigned
 
     def written(block: Block) -> list[ca.SX]:

@@ -3,6 +3,7 @@
 
 #include <float.h>
 #include <stddef.h>
+#include <string.h>
 
 #if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
@@ -188,7 +189,7 @@ LATE_GPS_INLINE void late_gps_copy(const double *from, double *to, int size)
 
 /* innovation, row by row. */
 LATE_GPS_INLINE void late_gps_innovation(const double late, const double age, const double *y,
-    const double past_state, double *innovation, int row_0)
+    const double known_state, double *innovation, int row_0)
 {
     if (row_0 != 0)
     {
@@ -197,7 +198,7 @@ LATE_GPS_INLINE void late_gps_innovation(const double late, const double age, co
         const double t2 = (t0 < t1) ? t0 : t1;
         if (t2 > 0.0)
         {
-            innovation[0] = y[0] - past_state;
+            innovation[0] = y[0] - known_state;
         }
     }
 }
@@ -217,41 +218,30 @@ LATE_GPS_INLINE void late_gps_results_of_the_update(const double age, double *co
     }
 }
 
+/* what was predicted, and how late rows are at most; innovation, row by row. */
+LATE_GPS_INLINE void late_gps_part_2(const double *state, double *known_state,
+    const double *covariance, double *covariance_2)
+{
+    late_gps_copy(state, known_state, 4);
+    late_gps_copy(covariance, covariance_2, 10);
+}
+
 /* the last samples once more, for what is late. */
 LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double longest_delay,
-    double *past_state, double *past_covariance, const double *late_by, const double *late_flag,
-    double *signal, double *signal_cross, double *signal_own, const double *past_delay,
-    const double *past_rows, const double *past_parameters, double *revised, double *revised_own,
-    const double *late_noise, const double *late_seen)
+    const double past_place, const double *places, const double *predicted_state,
+    const double *predicted_covariance, const double *past_state, const double *past_covariance,
+    double *signal, double *revised, double *signal_cross, double *signal_own, double *revised_own,
+    const double *late_by, const double *late_flag, const double *late_noise,
+    const double *late_seen, double *known_state, double *known_covariance, double *past_written,
+    double *past_state_2, double *past_covariance_2, const double *past_rows, double *past_rows_2,
+    const double *past_delay, double *past_delay_2, const double *past_parameters,
+    double *past_parameters_2)
 {
-    static const double ages[9] = {
-        0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0
-    };
-    double replayed_age;
-    double replayed_state[4] = { 0.0 };
-    double replayed_covariance[10] = { 0.0 };
-    static const double late_rows[16] = {
-        1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0
-    };
-    double late_row[4];
-    static const double late_offsets[4] = {
-        0.0, 0.0, 0.0, 0.0
-    };
-    double shared_signal;
-    double apart;
-    double replayed_row[4];
-    double replayed_cross[4];
-    static const double replayed_noise[4] = {
-        1.0, 1.0, 0.09, 0.09
-    };
-    double replayed_pivot;
-    double replayed_inverse;
-    double replayed_weight;
-    double signal_seen[4] = { 0.0 };
-    double signal_gain;
-    double signal_row[4];
-    double revised_state[4] = { 0.0 };
-    double revised_covariance[10] = { 0.0 };
+    double age;
+    double old_x[4] = { 0.0 };
+    double old_P[10] = { 0.0 };
+    double new_x[4] = { 0.0 };
+    double new_P[10] = { 0.0 };
     double revised_cross[16] = { 0.0 };
     double late_shared[4] = { 0.0 };
     double late_pivot;
@@ -259,252 +249,72 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
     double late_news;
     double late_gain;
     double late_weight;
-    double late_cross[4];
+    double late_Pc[4];
     double late_share;
+    static const double late_rows[16] = {
+        1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0
+    };
+    double late_c[4];
+    static const double late_offsets[4] = {
+        0.0, 0.0, 0.0, 0.0
+    };
+    double shared_signal;
+    double came_before;
+    double apart;
+    double own_c[4];
+    double old_Pc[4];
+    static const double replayed_noise[4] = {
+        1.0, 1.0, 0.09, 0.09
+    };
+    double replayed_pivot;
+    double inverse;
+    double weight;
+    double signal_seen[4] = { 0.0 };
+    double signal_gain;
+    double signal_row[4];
     const double t0 = longest_delay - 0.5;
     if (t0 > 0.0)
     {
-        for (int past = 0; past < 8; ++past)
+        for (int turn = 0; turn < 2; ++turn)
         {
-            replayed_age = ages[8 - past];
-            const double t1 = (longest_delay - replayed_age) + 0.5;
-            if (t1 > 0.0)
+            for (int slot = 0; slot < 9; ++slot)
             {
-                for (int once = 0; once < 1; ++once)
+                age = (past_place - places[slot]) + (9.0 * (1.0 - places[turn]));
+                const double t1 = longest_delay - age;
+                const double t2 = (t1 < age) ? t1 : age;
+                const double t3 = t2 + 0.5;
+                if (t3 > 0.0)
                 {
-                    const double t2 = (replayed_age - longest_delay) + 0.5;
-                    if (t2 > 0.0)
+                    const double t4 = 0.5 - age;
+                    if (t4 > 0.0)
                     {
-                        for (int first = 0; first < 1; ++first)
+                        late_gps_copy(predicted_state, old_x, 4);
+                        late_gps_copy(predicted_covariance, old_P, 10);
+                    }
+                    const double t5 = -(0.5 - age);
+                    if (t5 > 0.0)
+                    {
+                        for (int i = 0; i < 4; ++i)
                         {
-                            for (int i = 0; i < 4; ++i)
-                            {
-                                replayed_state[i] = past_state[i + 32 - 4 * past];
-                            }
-                            for (int i = 0; i < 10; ++i)
-                            {
-                                replayed_covariance[i] = past_covariance[i + 80 - 10 * past];
-                            }
+                            old_x[i] = past_state[i + 4 * slot];
+                        }
+                        for (int i = 0; i < 10; ++i)
+                        {
+                            old_P[i] = past_covariance[i + 10 * slot];
                         }
                     }
-                    for (int q = 0; q < 4; ++q)
+                    const double t6 = (longest_delay - age) - 0.5;
+                    if (t6 > 0.0)
                     {
-                        const double t3 = (late_by[q] < (replayed_age + 0.5)) ? 1.0 : 0.0;
-                        const double t4 = t3 * (((replayed_age - 0.5) < late_by[q]) ? 1.0 : 0.0);
-                        const double t5 = (late_flag[q] * t4) - 0.5;
-                        if (t5 > 0.0)
+                        late_gps_copy(old_x, new_x, 4);
+                        late_gps_copy(old_P, new_P, 10);
+                        late_gps_copy(signal, revised, 4);
+                        late_gps_copy(signal_cross, revised_cross, 16);
+                        late_gps_copy(signal_own, revised_own, 16);
+                        for (int q = 0; q < 4; ++q)
                         {
-                            for (int begun = 0; begun < 1; ++begun)
-                            {
-                                late_row[0] = late_rows[4 * q];
-                                late_row[1] = late_rows[4 * q + 1];
-                                late_row[2] = late_rows[4 * q + 2];
-                                late_row[3] = late_rows[4 * q + 3];
-                                const double t6 = late_row[0] * replayed_state[0];
-                                const double t7 = t6 + (late_row[1] * replayed_state[1]);
-                                const double t8 = t7 + (late_row[2] * replayed_state[2]);
-                                const double t9 = t8 + (late_row[3] * replayed_state[3]);
-                                signal[q] = t9 + late_offsets[q];
-                                const double t10 = replayed_covariance[0] * late_row[0];
-                                const double t11 = t10 + (replayed_covariance[1] * late_row[1]);
-                                const double t12 = t11 + (replayed_covariance[3] * late_row[2]);
-                                signal_cross[4 * q] = t12 + (replayed_covariance[6] * late_row[3]);
-                                const double t13 = replayed_covariance[1] * late_row[0];
-                                const double t14 = t13 + (replayed_covariance[2] * late_row[1]);
-                                const double t15 = t14 + (replayed_covariance[4] * late_row[2]);
-                                const double t16 = t15 + (replayed_covariance[7] * late_row[3]);
-                                const double t17 = replayed_covariance[3] * late_row[0];
-                                const double t18 = t17 + (replayed_covariance[4] * late_row[1]);
-                                const double t19 = t18 + (replayed_covariance[5] * late_row[2]);
-                                const double t20 = t19 + (replayed_covariance[8] * late_row[3]);
-                                const double t21 = replayed_covariance[6] * late_row[0];
-                                const double t22 = t21 + (replayed_covariance[7] * late_row[1]);
-                                const double t23 = t22 + (replayed_covariance[8] * late_row[2]);
-                                const double t24 = t23 + (replayed_covariance[9] * late_row[3]);
-                                signal_cross[4 * q + 1] = t16;
-                                signal_cross[4 * q + 2] = t20;
-                                signal_cross[4 * q + 3] = t24;
-                                for (int j = 0; j < 4; ++j)
-                                {
-                                    const double t25 = signal_cross[4 * j] * late_row[0];
-                                    const double t26 = signal_cross[4 * j + 1] * late_row[1];
-                                    const double t27 = t25 + t26;
-                                    const double t28 = signal_cross[4 * j + 2] * late_row[2];
-                                    const double t29 = t27 + t28;
-                                    shared_signal = t29 + (signal_cross[4 * j + 3] * late_row[3]);
-                                    signal_own[j + 4 * q] = shared_signal;
-                                    signal_own[4 * j + q] = shared_signal;
-                                }
-                            }
-                        }
-                    }
-                    for (int b = 1; b < 9 - past; ++b)
-                    {
-                        apart = replayed_age - ages[b];
-                        for (int row = 0; row < 4; ++row)
-                        {
-                            const double t30 = apart + 0.5;
-                            const double t31 = (past_delay[4 * b + row] < t30) ? 1.0 : 0.0;
-                            const double t32 = apart - 0.5;
-                            const double t33 = t31 * ((t32 < past_delay[4 * b + row]) ? 1.0 : 0.0);
-                            const double t34 = t33 - 0.5;
-                            if (t34 > 0.0)
-                            {
-                                for (int there = 0; there < 1; ++there)
-                                {
-                                    replayed_row[0] = late_rows[4 * row];
-                                    replayed_row[1] = late_rows[4 * row + 1];
-                                    replayed_row[2] = late_rows[4 * row + 2];
-                                    replayed_row[3] = late_rows[4 * row + 3];
-                                    const double t35 = replayed_covariance[0] * replayed_row[0];
-                                    const double t36 = replayed_covariance[1] * replayed_row[1];
-                                    const double t37 = t35 + t36;
-                                    const double t38 = replayed_covariance[3] * replayed_row[2];
-                                    const double t39 = t37 + t38;
-                                    const double t40 = replayed_covariance[6] * replayed_row[3];
-                                    replayed_cross[0] = t39 + t40;
-                                    const double t41 = replayed_covariance[1] * replayed_row[0];
-                                    const double t42 = replayed_covariance[2] * replayed_row[1];
-                                    const double t43 = t41 + t42;
-                                    const double t44 = replayed_covariance[4] * replayed_row[2];
-                                    const double t45 = t43 + t44;
-                                    const double t46 = replayed_covariance[7] * replayed_row[3];
-                                    replayed_cross[1] = t45 + t46;
-                                    const double t47 = replayed_covariance[3] * replayed_row[0];
-                                    const double t48 = replayed_covariance[4] * replayed_row[1];
-                                    const double t49 = t47 + t48;
-                                    const double t50 = replayed_covariance[5] * replayed_row[2];
-                                    const double t51 = t49 + t50;
-                                    const double t52 = replayed_covariance[8] * replayed_row[3];
-                                    replayed_cross[2] = t51 + t52;
-                                    const double t53 = replayed_covariance[6] * replayed_row[0];
-                                    const double t54 = replayed_covariance[7] * replayed_row[1];
-                                    const double t55 = t53 + t54;
-                                    const double t56 = replayed_covariance[8] * replayed_row[2];
-                                    const double t57 = t55 + t56;
-                                    const double t58 = replayed_covariance[9] * replayed_row[3];
-                                    replayed_cross[3] = t57 + t58;
-                                    const double t59 = replayed_row[0] * replayed_cross[0];
-                                    const double t60 = t59 + (replayed_row[1] * replayed_cross[1]);
-                                    const double t61 = t60 + (replayed_row[2] * replayed_cross[2]);
-                                    const double t62 = t61 + (replayed_row[3] * replayed_cross[3]);
-                                    replayed_pivot = t62 + replayed_noise[row];
-                                    if (!(replayed_pivot > 0.0))
-                                    {
-                                        return LATE_GPS_NOT_POSITIVE_DEFINITE;
-                                    }
-                                    replayed_inverse = 1.0 / replayed_pivot;
-                                    const double t63 = past_rows[4 * b + row] - late_offsets[row];
-                                    const double t64 = replayed_row[0] * replayed_state[0];
-                                    const double t65 = replayed_row[1] * replayed_state[1];
-                                    const double t66 = t64 + t65;
-                                    const double t67 = replayed_row[2] * replayed_state[2];
-                                    const double t68 = t66 + t67;
-                                    const double t69 = replayed_row[3] * replayed_state[3];
-                                    replayed_weight = (t63 - (t68 + t69)) * replayed_inverse;
-                                    const double t70 = replayed_cross[0] * replayed_weight;
-                                    replayed_state[0] = replayed_state[0] + t70;
-                                    const double t71 = replayed_cross[1] * replayed_weight;
-                                    replayed_state[1] = replayed_state[1] + t71;
-                                    const double t72 = replayed_cross[2] * replayed_weight;
-                                    replayed_state[2] = replayed_state[2] + t72;
-                                    const double t73 = replayed_cross[3] * replayed_weight;
-                                    replayed_state[3] = replayed_state[3] + t73;
-                                    const double t74 = replayed_cross[0] * replayed_inverse;
-                                    const double t75 = t74 * replayed_cross[0];
-                                    replayed_covariance[0] = replayed_covariance[0] - t75;
-                                    const double t76 = replayed_cross[1] * replayed_inverse;
-                                    const double t77 = t76 * replayed_cross[0];
-                                    replayed_covariance[1] = replayed_covariance[1] - t77;
-                                    const double t78 = t76 * replayed_cross[1];
-                                    replayed_covariance[2] = replayed_covariance[2] - t78;
-                                    const double t79 = replayed_cross[2] * replayed_inverse;
-                                    const double t80 = t79 * replayed_cross[0];
-                                    replayed_covariance[3] = replayed_covariance[3] - t80;
-                                    const double t81 = t79 * replayed_cross[1];
-                                    replayed_covariance[4] = replayed_covariance[4] - t81;
-                                    const double t82 = t79 * replayed_cross[2];
-                                    replayed_covariance[5] = replayed_covariance[5] - t82;
-                                    const double t83 = replayed_cross[3] * replayed_inverse;
-                                    const double t84 = t83 * replayed_cross[0];
-                                    replayed_covariance[6] = replayed_covariance[6] - t84;
-                                    const double t85 = t83 * replayed_cross[1];
-                                    replayed_covariance[7] = replayed_covariance[7] - t85;
-                                    const double t86 = t83 * replayed_cross[2];
-                                    replayed_covariance[8] = replayed_covariance[8] - t86;
-                                    const double t87 = t83 * replayed_cross[3];
-                                    replayed_covariance[9] = replayed_covariance[9] - t87;
-                                    for (int q = 0; q < 4; ++q)
-                                    {
-                                        const double t88 = signal_cross[4 * q] * replayed_row[0];
-                                        const double t89 = signal_cross[4 * q +
-                                            1] * replayed_row[1];
-                                        const double t90 = t88 + t89;
-                                        const double t91 = signal_cross[4 * q +
-                                            2] * replayed_row[2];
-                                        const double t92 = t90 + t91;
-                                        const double t93 = signal_cross[4 * q +
-                                            3] * replayed_row[3];
-                                        signal_seen[q] = t92 + t93;
-                                    }
-                                    for (int q = 0; q < 4; ++q)
-                                    {
-                                        signal_gain = signal_seen[q] * replayed_inverse;
-                                        signal[q] = signal[q] + (signal_seen[q] * replayed_weight);
-                                        const double t94 = signal_gain * replayed_cross[0];
-                                        const double t95 = signal_cross[4 * q] - t94;
-                                        const double t96 = signal_gain * replayed_cross[1];
-                                        const double t97 = signal_cross[4 * q + 1] - t96;
-                                        const double t98 = signal_gain * replayed_cross[2];
-                                        const double t99 = signal_cross[4 * q + 2] - t98;
-                                        const double t100 = signal_gain * replayed_cross[3];
-                                        const double t101 = signal_cross[4 * q + 3] - t100;
-                                        signal_cross[4 * q] = t95;
-                                        signal_cross[4 * q + 1] = t97;
-                                        signal_cross[4 * q + 2] = t99;
-                                        signal_cross[4 * q + 3] = t101;
-                                        for (int j = 0; j < 4; ++j)
-                                        {
-                                            const double t102 = signal_gain * signal_seen[j];
-                                            signal_own[j + 4 * q] = signal_own[j + 4 * q] - t102;
-                                        }
-                                    }
-                                }
-                            }
-                        }
-                    }
-                    for (int q = 0; q < 4; ++q)
-                    {
-                        signal_row[0] = signal_cross[4 * q];
-                        signal_row[1] = signal_cross[4 * q + 1];
-                        signal_row[2] = signal_cross[4 * q + 2];
-                        signal_row[3] = signal_cross[4 * q + 3];
-                        const double t103 = past_parameters[8 - past] * signal_row[2];
-                        signal_cross[4 * q] = signal_row[0] + t103;
-                        const double t104 = past_parameters[8 - past] * signal_row[3];
-                        signal_cross[4 * q + 1] = signal_row[1] + t104;
-                        signal_cross[4 * q + 2] = signal_row[2];
-                        signal_cross[4 * q + 3] = signal_row[3];
-                    }
-                    for (int i = 0; i < 4; ++i)
-                    {
-                        replayed_state[i] = past_state[i + 28 - 4 * past];
-                    }
-                    for (int i = 0; i < 10; ++i)
-                    {
-                        replayed_covariance[i] = past_covariance[i + 70 - 10 * past];
-                    }
-                    late_gps_copy(replayed_state, revised_state, 4);
-                    late_gps_copy(replayed_covariance, revised_covariance, 10);
-                    late_gps_copy(signal, revised, 4);
-                    late_gps_copy(signal_cross, revised_cross, 16);
-                    late_gps_copy(signal_own, revised_own, 16);
-                    for (int q = 0; q < 4; ++q)
-                    {
-                        const double t105 = late_flag[q] * ((late_by[q] - replayed_age) + 0.5);
-                        if (t105 > 0.0)
-                        {
-                            for (int older = 0; older < 1; ++older)
+                            const double t7 = late_flag[q] * ((late_by[q] - age) - 0.5);
+                            if (t7 > 0.0)
                             {
                                 for (int j = 0; j < 4; ++j)
                                 {
@@ -520,76 +330,251 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
                                     revised[a] = revised[a] + (late_gain * late_news);
                                     for (int j = 0; j < 4; ++j)
                                     {
-                                        const double t106 = late_gain * late_shared[j];
-                                        revised_own[4 * a + j] = revised_own[4 * a + j] - t106;
+                                        const double t8 = late_gain * late_shared[j];
+                                        revised_own[4 * a + j] = revised_own[4 * a + j] - t8;
                                     }
                                 }
                                 late_weight = late_news * late_inverse;
-                                late_cross[0] = revised_cross[4 * q];
-                                late_cross[1] = revised_cross[4 * q + 1];
-                                late_cross[2] = revised_cross[4 * q + 2];
-                                late_cross[3] = revised_cross[4 * q + 3];
-                                revised_state[0] = revised_state[0] + (late_cross[0] * late_weight);
-                                revised_state[1] = revised_state[1] + (late_cross[1] * late_weight);
-                                revised_state[2] = revised_state[2] + (late_cross[2] * late_weight);
-                                revised_state[3] = revised_state[3] + (late_cross[3] * late_weight);
-                                const double t107 = late_cross[0] * late_inverse * late_cross[0];
-                                revised_covariance[0] = revised_covariance[0] - t107;
-                                const double t108 = late_cross[1] * late_inverse;
-                                const double t109 = t108 * late_cross[0];
-                                revised_covariance[1] = revised_covariance[1] - t109;
-                                const double t110 = t108 * late_cross[1];
-                                revised_covariance[2] = revised_covariance[2] - t110;
-                                const double t111 = late_cross[2] * late_inverse;
-                                const double t112 = t111 * late_cross[0];
-                                revised_covariance[3] = revised_covariance[3] - t112;
-                                const double t113 = t111 * late_cross[1];
-                                revised_covariance[4] = revised_covariance[4] - t113;
-                                const double t114 = t111 * late_cross[2];
-                                revised_covariance[5] = revised_covariance[5] - t114;
-                                const double t115 = late_cross[3] * late_inverse;
-                                const double t116 = t115 * late_cross[0];
-                                revised_covariance[6] = revised_covariance[6] - t116;
-                                const double t117 = t115 * late_cross[1];
-                                revised_covariance[7] = revised_covariance[7] - t117;
-                                const double t118 = t115 * late_cross[2];
-                                revised_covariance[8] = revised_covariance[8] - t118;
-                                const double t119 = t115 * late_cross[3];
-                                revised_covariance[9] = revised_covariance[9] - t119;
+                                late_Pc[0] = revised_cross[4 * q];
+                                late_Pc[1] = revised_cross[4 * q + 1];
+                                late_Pc[2] = revised_cross[4 * q + 2];
+                                late_Pc[3] = revised_cross[4 * q + 3];
+                                new_x[0] = new_x[0] + (late_Pc[0] * late_weight);
+                                new_x[1] = new_x[1] + (late_Pc[1] * late_weight);
+                                new_x[2] = new_x[2] + (late_Pc[2] * late_weight);
+                                new_x[3] = new_x[3] + (late_Pc[3] * late_weight);
+                                new_P[0] = new_P[0] - (late_Pc[0] * late_inverse * late_Pc[0]);
+                                const double t9 = late_Pc[1] * late_inverse;
+                                new_P[1] = new_P[1] - (t9 * late_Pc[0]);
+                                new_P[2] = new_P[2] - (t9 * late_Pc[1]);
+                                const double t10 = late_Pc[2] * late_inverse;
+                                new_P[3] = new_P[3] - (t10 * late_Pc[0]);
+                                new_P[4] = new_P[4] - (t10 * late_Pc[1]);
+                                new_P[5] = new_P[5] - (t10 * late_Pc[2]);
+                                const double t11 = late_Pc[3] * late_inverse;
+                                new_P[6] = new_P[6] - (t11 * late_Pc[0]);
+                                new_P[7] = new_P[7] - (t11 * late_Pc[1]);
+                                new_P[8] = new_P[8] - (t11 * late_Pc[2]);
+                                new_P[9] = new_P[9] - (t11 * late_Pc[3]);
                                 for (int j = 0; j < 4; ++j)
                                 {
                                     late_share = late_shared[j] * late_inverse;
-                                    const double t120 = late_share * late_cross[0];
-                                    const double t121 = revised_cross[4 * j] - t120;
-                                    const double t122 = late_share * late_cross[1];
-                                    const double t123 = revised_cross[4 * j + 1] - t122;
-                                    const double t124 = late_share * late_cross[2];
-                                    const double t125 = revised_cross[4 * j + 2] - t124;
-                                    const double t126 = late_share * late_cross[3];
-                                    const double t127 = revised_cross[4 * j + 3] - t126;
-                                    revised_cross[4 * j] = t121;
-                                    revised_cross[4 * j + 1] = t123;
-                                    revised_cross[4 * j + 2] = t125;
-                                    revised_cross[4 * j + 3] = t127;
+                                    const double t12 = late_share * late_Pc[0];
+                                    const double t13 = revised_cross[4 * j] - t12;
+                                    const double t14 = late_share * late_Pc[1];
+                                    const double t15 = revised_cross[4 * j + 1] - t14;
+                                    const double t16 = late_share * late_Pc[2];
+                                    const double t17 = revised_cross[4 * j + 2] - t16;
+                                    const double t18 = late_share * late_Pc[3];
+                                    const double t19 = revised_cross[4 * j + 3] - t18;
+                                    revised_cross[4 * j] = t13;
+                                    revised_cross[4 * j + 1] = t15;
+                                    revised_cross[4 * j + 2] = t17;
+                                    revised_cross[4 * j + 3] = t19;
                                 }
                             }
                         }
-                    }
-                    for (int i = 0; i < 4; ++i)
-                    {
-                        if (!late_gps_finite(late_gps_defect(revised_state[i])))
+                        late_gps_copy(new_x, known_state, 4);
+                        late_gps_copy(new_P, known_covariance, 10);
+                        past_written[slot] = 1.0;
+                        for (int i = 0; i < 4; ++i)
                         {
-                            return LATE_GPS_RESULT_NOT_FINITE;
+                            if (!late_gps_finite(late_gps_defect(new_x[i])))
+                            {
+                                return LATE_GPS_RESULT_NOT_FINITE;
+                            }
+                            past_state_2[i + 4 * slot] = new_x[i];
                         }
-                        past_state[i + 28 - 4 * past] = revised_state[i];
-                    }
-                    for (int i = 0; i < 10; ++i)
-                    {
-                        if (!late_gps_finite(late_gps_defect(revised_covariance[i])))
+                        for (int i = 0; i < 10; ++i)
                         {
-                            return LATE_GPS_RESULT_NOT_FINITE;
+                            if (!late_gps_finite(late_gps_defect(new_P[i])))
+                            {
+                                return LATE_GPS_RESULT_NOT_FINITE;
+                            }
+                            past_covariance_2[i + 10 * slot] = new_P[i];
                         }
-                        past_covariance[i + 70 - 10 * past] = revised_covariance[i];
+                        const double t20 = age - 0.5;
+                        if (t20 > 0.0)
+                        {
+                            for (int i = 0; i < 4; ++i)
+                            {
+                                past_rows_2[i + 4 * slot] = past_rows[i + 4 * slot];
+                            }
+                            for (int i = 0; i < 4; ++i)
+                            {
+                                past_delay_2[i + 4 * slot] = past_delay[i + 4 * slot];
+                            }
+                            past_parameters_2[slot] = past_parameters[slot];
+                        }
+                    }
+                    const double t21 = -(0.5 - age);
+                    if (t21 > 0.0)
+                    {
+                        for (int q = 0; q < 4; ++q)
+                        {
+                            const double t22 = (late_by[q] < (age + 0.5)) ? 1.0 : 0.0;
+                            const double t23 = t22 * (((age - 0.5) < late_by[q]) ? 1.0 : 0.0);
+                            const double t24 = (late_flag[q] * t23) - 0.5;
+                            if (t24 > 0.0)
+                            {
+                                late_c[0] = late_rows[4 * q];
+                                late_c[1] = late_rows[4 * q + 1];
+                                late_c[2] = late_rows[4 * q + 2];
+                                late_c[3] = late_rows[4 * q + 3];
+                                const double t25 = (late_c[0] * old_x[0]) + (late_c[1] * old_x[1]);
+                                const double t26 = t25 + (late_c[2] * old_x[2]);
+                                signal[q] = t26 + (late_c[3] * old_x[3]) + late_offsets[q];
+                                const double t27 = (old_P[0] * late_c[0]) + (old_P[1] * late_c[1]);
+                                const double t28 = t27 + (old_P[3] * late_c[2]);
+                                signal_cross[4 * q] = t28 + (old_P[6] * late_c[3]);
+                                const double t29 = (old_P[1] * late_c[0]) + (old_P[2] * late_c[1]);
+                                const double t30 = t29 + (old_P[4] * late_c[2]);
+                                const double t31 = t30 + (old_P[7] * late_c[3]);
+                                const double t32 = (old_P[3] * late_c[0]) + (old_P[4] * late_c[1]);
+                                const double t33 = t32 + (old_P[5] * late_c[2]);
+                                const double t34 = t33 + (old_P[8] * late_c[3]);
+                                const double t35 = (old_P[6] * late_c[0]) + (old_P[7] * late_c[1]);
+                                const double t36 = t35 + (old_P[8] * late_c[2]);
+                                const double t37 = t36 + (old_P[9] * late_c[3]);
+                                signal_cross[4 * q + 1] = t31;
+                                signal_cross[4 * q + 2] = t34;
+                                signal_cross[4 * q + 3] = t37;
+                                for (int j = 0; j < 4; ++j)
+                                {
+                                    const double t38 = signal_cross[4 * j] * late_c[0];
+                                    const double t39 = signal_cross[4 * j + 1] * late_c[1];
+                                    const double t40 = t38 + t39;
+                                    const double t41 = signal_cross[4 * j + 2] * late_c[2];
+                                    const double t42 = t40 + t41;
+                                    shared_signal = t42 + (signal_cross[4 * j + 3] * late_c[3]);
+                                    signal_own[j + 4 * q] = shared_signal;
+                                    signal_own[4 * j + q] = shared_signal;
+                                }
+                            }
+                        }
+                        for (int other = 0; other < 9; ++other)
+                        {
+                            const double t43 = past_place - places[other];
+                            came_before = t43 + (9.0 * ((t43 < -0.5) ? 1.0 : 0.0));
+                            apart = age - came_before;
+                            const double t44 = came_before - 0.5;
+                            const double t45 = apart + 0.5;
+                            const double t46 = (t44 < t45) ? t44 : t45;
+                            if (t46 > 0.0)
+                            {
+                                for (int row = 0; row < 4; ++row)
+                                {
+                                    const double t47 = apart + 0.5;
+                                    const double t48 = (past_delay[4 * other + row] < t47) ? 1.0
+                                        : 0.0;
+                                    const double t49 = apart - 0.5;
+                                    const double t50 = (t49 < past_delay[4 * other + row]) ? 1.0
+                                        : 0.0;
+                                    const double t51 = (t48 * t50) - 0.5;
+                                    if (t51 > 0.0)
+                                    {
+                                        own_c[0] = late_rows[4 * row];
+                                        own_c[1] = late_rows[4 * row + 1];
+                                        own_c[2] = late_rows[4 * row + 2];
+                                        own_c[3] = late_rows[4 * row + 3];
+                                        const double t52 = old_P[0] * own_c[0];
+                                        const double t53 = t52 + (old_P[1] * own_c[1]);
+                                        const double t54 = t53 + (old_P[3] * own_c[2]);
+                                        old_Pc[0] = t54 + (old_P[6] * own_c[3]);
+                                        const double t55 = old_P[1] * own_c[0];
+                                        const double t56 = t55 + (old_P[2] * own_c[1]);
+                                        const double t57 = t56 + (old_P[4] * own_c[2]);
+                                        old_Pc[1] = t57 + (old_P[7] * own_c[3]);
+                                        const double t58 = old_P[3] * own_c[0];
+                                        const double t59 = t58 + (old_P[4] * own_c[1]);
+                                        const double t60 = t59 + (old_P[5] * own_c[2]);
+                                        old_Pc[2] = t60 + (old_P[8] * own_c[3]);
+                                        const double t61 = old_P[6] * own_c[0];
+                                        const double t62 = t61 + (old_P[7] * own_c[1]);
+                                        const double t63 = t62 + (old_P[8] * own_c[2]);
+                                        old_Pc[3] = t63 + (old_P[9] * own_c[3]);
+                                        const double t64 = own_c[0] * old_Pc[0];
+                                        const double t65 = t64 + (own_c[1] * old_Pc[1]);
+                                        const double t66 = t65 + (own_c[2] * old_Pc[2]);
+                                        const double t67 = t66 + (own_c[3] * old_Pc[3]);
+                                        replayed_pivot = t67 + replayed_noise[row];
+                                        if (!(replayed_pivot > 0.0))
+                                        {
+                                            return LATE_GPS_NOT_POSITIVE_DEFINITE;
+                                        }
+                                        inverse = 1.0 / replayed_pivot;
+                                        const double t68 = past_rows[4 * other +
+                                            row] - late_offsets[row];
+                                        const double t69 = own_c[0] * old_x[0];
+                                        const double t70 = t69 + (own_c[1] * old_x[1]);
+                                        const double t71 = t70 + (own_c[2] * old_x[2]);
+                                        weight = (t68 - (t71 + (own_c[3] * old_x[3]))) * inverse;
+                                        old_x[0] = old_x[0] + (old_Pc[0] * weight);
+                                        old_x[1] = old_x[1] + (old_Pc[1] * weight);
+                                        old_x[2] = old_x[2] + (old_Pc[2] * weight);
+                                        old_x[3] = old_x[3] + (old_Pc[3] * weight);
+                                        old_P[0] = old_P[0] - (old_Pc[0] * inverse * old_Pc[0]);
+                                        const double t72 = old_Pc[1] * inverse;
+                                        old_P[1] = old_P[1] - (t72 * old_Pc[0]);
+                                        old_P[2] = old_P[2] - (t72 * old_Pc[1]);
+                                        const double t73 = old_Pc[2] * inverse;
+                                        old_P[3] = old_P[3] - (t73 * old_Pc[0]);
+                                        old_P[4] = old_P[4] - (t73 * old_Pc[1]);
+                                        old_P[5] = old_P[5] - (t73 * old_Pc[2]);
+                                        const double t74 = old_Pc[3] * inverse;
+                                        old_P[6] = old_P[6] - (t74 * old_Pc[0]);
+                                        old_P[7] = old_P[7] - (t74 * old_Pc[1]);
+                                        old_P[8] = old_P[8] - (t74 * old_Pc[2]);
+                                        old_P[9] = old_P[9] - (t74 * old_Pc[3]);
+                                        for (int q = 0; q < 4; ++q)
+                                        {
+                                            const double t75 = signal_cross[4 * q] * own_c[0];
+                                            const double t76 = signal_cross[4 * q + 1] * own_c[1];
+                                            const double t77 = t75 + t76;
+                                            const double t78 = signal_cross[4 * q + 2] * own_c[2];
+                                            const double t79 = t77 + t78;
+                                            const double t80 = signal_cross[4 * q + 3] * own_c[3];
+                                            signal_seen[q] = t79 + t80;
+                                        }
+                                        for (int q = 0; q < 4; ++q)
+                                        {
+                                            signal_gain = signal_seen[q] * inverse;
+                                            signal[q] = signal[q] + (signal_seen[q] * weight);
+                                            const double t81 = signal_gain * old_Pc[0];
+                                            const double t82 = signal_cross[4 * q] - t81;
+                                            const double t83 = signal_gain * old_Pc[1];
+                                            const double t84 = signal_cross[4 * q + 1] - t83;
+                                            const double t85 = signal_gain * old_Pc[2];
+                                            const double t86 = signal_cross[4 * q + 2] - t85;
+                                            const double t87 = signal_gain * old_Pc[3];
+                                            const double t88 = signal_cross[4 * q + 3] - t87;
+                                            signal_cross[4 * q] = t82;
+                                            signal_cross[4 * q + 1] = t84;
+                                            signal_cross[4 * q + 2] = t86;
+                                            signal_cross[4 * q + 3] = t88;
+                                            for (int j = 0; j < 4; ++j)
+                                            {
+                                                const double t89 = signal_gain * signal_seen[j];
+                                                signal_own[j + 4 * q] = signal_own[j + 4 * q] - t89;
+                                            }
+                                        }
+                                    }
+                                }
+                            }
+                        }
+                        for (int q = 0; q < 4; ++q)
+                        {
+                            signal_row[0] = signal_cross[4 * q];
+                            signal_row[1] = signal_cross[4 * q + 1];
+                            signal_row[2] = signal_cross[4 * q + 2];
+                            signal_row[3] = signal_cross[4 * q + 3];
+                            const double t90 = past_parameters[slot] * signal_row[2];
+                            signal_cross[4 * q] = signal_row[0] + t90;
+                            const double t91 = past_parameters[slot] * signal_row[3];
+                            signal_cross[4 * q + 1] = signal_row[1] + t91;
+                            signal_cross[4 * q + 2] = signal_row[2];
+                            signal_cross[4 * q + 3] = signal_row[3];
+                        }
                     }
                 }
             }
@@ -598,475 +583,370 @@ LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once(const double lo
     return LATE_GPS_OK;
 }
 
-/* how late row 1 of y is, gps_north. */
-LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row(const double predicted_samples_before,
-    const double *y, double *row_1, double *age_1, double *late_1, double *row_2, double *age_2,
-    double *late_2, double *row_3, double *age_3, double *late_3, const double row_0,
-    const double age_0, const double *predicted_state, double *past_state,
-    const double *past_state_2, const double *predicted_covariance, double *past_covariance,
-    const double *past_covariance_2, double *past_rows, const double *past_rows_2,
-    double *past_delay, const double *past_delay_2, double *past_parameters,
-    const double *past_parameters_2, const late_gps_params_t *params, uint32_t present)
+/* the last samples once more, for what is late. */
+LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once_2(const double longest_delay,
+    const double past_place, const double *places, const double *predicted_state,
+    const double *predicted_covariance, const double *past_state, const double *past_covariance,
+    const double *late_by, const double *late_flag, const double *late_noise,
+    const double *late_seen, double *known_state, double *known_covariance, double *past_written,
+    double *past_state_2, double *past_covariance_2, const double *past_rows, double *past_rows_2,
+    const double *past_delay, double *past_delay_2, const double *past_parameters,
+    double *past_parameters_2, double *late_nis, double *late_log_likelihood, const double late_0,
+    const double age_0, const double *y, double *late_innovation, const double row_0,
+    const double late_1, const double age_1, const double row_1, const double late_2,
+    const double age_2, const double row_2, const double late_3, const double age_3,
+    const double row_3, double *late_variances, uint32_t present)
 {
-    /* how late row 1 of y is, gps_north */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t0 = 8.0 - params->delay_gps_north;
-        const double t1 = late_gps_floor(params->delay_gps_north) - params->delay_gps_north;
-        if (!((params->delay_gps_north >= 0.0) && (t0 >= 0.0) && (t1 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t2 = (predicted_samples_before - params->delay_gps_north) + 0.5;
-        if (t2 > 0.0)
-        {
-            row_1[0] = y[0];
-            age_1[0] = params->delay_gps_north;
-            late_1[0] = (0.5 < params->delay_gps_north) ? 1.0 : 0.0;
-        }
-    }
-
-    /* how late row 2 of y is, gps_v_east */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t3 = 8.0 - params->delay_gps_v_east;
-        const double t4 = late_gps_floor(params->delay_gps_v_east) - params->delay_gps_v_east;
-        if (!((params->delay_gps_v_east >= 0.0) && (t3 >= 0.0) && (t4 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t5 = (predicted_samples_before - params->delay_gps_v_east) + 0.5;
-        if (t5 > 0.0)
-        {
-            row_2[0] = y[1];
-            age_2[0] = params->delay_gps_v_east;
-            late_2[0] = (0.5 < params->delay_gps_v_east) ? 1.0 : 0.0;
-        }
-    }
-
-    /* how late row 3 of y is, gps_v_north */
-    if ((present & 0x8u) != 0u)
-    {
-        const double t6 = 8.0 - params->delay_gps_v_north;
-        const double t7 = late_gps_floor(params->delay_gps_v_north) - params->delay_gps_v_north;
-        if (!((params->delay_gps_v_north >= 0.0) && (t6 >= 0.0) && (t7 >= 0.0)))
-        {
-            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
-        }
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t8 = (predicted_samples_before - params->delay_gps_v_north) + 0.5;
-        if (t8 > 0.0)
-        {
-            row_3[0] = y[2];
-            age_3[0] = params->delay_gps_v_north;
-            late_3[0] = (0.5 < params->delay_gps_v_north) ? 1.0 : 0.0;
-        }
-    }
-
-    /* the last samples */
-    if (!late_gps_finite((((late_gps_defect(row_0) + late_gps_defect(row_1[0])) +
-        late_gps_defect(row_2[0])) + (late_gps_defect(row_3[0]) + late_gps_defect(age_0))) +
-        ((late_gps_defect(age_1[0]) + late_gps_defect(age_2[0])) + (late_gps_defect(age_3[0]) +
-        late_gps_defect(params->dt)))))
-    {
-        return LATE_GPS_RESULT_NOT_FINITE;
-    }
-    late_gps_copy(predicted_state, past_state, 4);
-    late_gps_copy(past_state_2, &past_state[4], 32);
-    late_gps_copy(predicted_covariance, past_covariance, 10);
-    late_gps_copy(past_covariance_2, &past_covariance[10], 80);
-    past_rows[0] = row_0;
-    past_rows[1] = row_1[0];
-    past_rows[2] = row_2[0];
-    past_rows[3] = row_3[0];
-    late_gps_copy(past_rows_2, &past_rows[4], 32);
-    past_delay[0] = age_0;
-    past_delay[1] = age_1[0];
-    past_delay[2] = age_2[0];
-    past_delay[3] = age_3[0];
-    late_gps_copy(past_delay_2, &past_delay[4], 32);
-    past_parameters[0] = params->dt;
-    late_gps_copy(past_parameters_2, &past_parameters[1], 8);
-    return LATE_GPS_OK;
-}
-
-/* innovations about what was known before this sample. */
-LATE_GPS_INLINE late_gps_status_t late_gps_innovations_about_what_was(const double longest_delay,
-    const double late_0, const double age_0, const double *past_state,
-    const double *predicted_state, const double innovation_0, double *all_innovations,
-    const double row_0, const double *signal, const double late_1, const double age_1,
-    const double innovation_1, const double row_1, const double late_2, const double age_2,
-    const double innovation_2, const double row_2, const double late_3, const double age_3,
-    const double innovation_3, const double row_3, const double *signal_own,
-    const double *predicted_covariance, const double *signal_cross, double *all_variances,
-    const double quadratic, const double late_nis, const double determinant_0,
-    const double log_constant, const double late_log_likelihood, const double *covariance,
-    const double *mean, double *filtered_state, double *filtered_covariance,
-    const double predicted_samples_before, double *samples_before, double *innovation,
-    double *innovation_covariance, double *nis, double *log_likelihood, double *counted,
-    double *nothing_counted, uint32_t present)
-{
-    double counted_0 = 0.0;
-    double none_counted = 1.0;
-    double counted_1 = 0.0;
-    double counted_2 = 0.0;
-    double counted_3 = 0.0;
-
-    /* innovations about what was known before this sample */
-    const double t0 = longest_delay - 0.5;
-    if (t0 > 0.0)
-    {
-        for (int once = 0; once < 1; ++once)
-        {
-            if ((present & 0x1u) != 0u)
-            {
-                const double t1 = 0.5 - late_0;
-                const double t2 = age_0 + 0.5;
-                const double t3 = (t1 < t2) ? t1 : t2;
-                if (t3 > 0.0)
-                {
-                    all_innovations[0] = innovation_0 + (past_state[0] - predicted_state[0]);
-                }
-            }
-            const double t4 = late_0 - 0.5;
-            if (t4 > 0.0)
-            {
-                all_innovations[0] = row_0 - signal[0];
-            }
-            if ((present & 0x2u) != 0u)
-            {
-                const double t5 = 0.5 - late_1;
-                const double t6 = age_1 + 0.5;
-                const double t7 = (t5 < t6) ? t5 : t6;
-                if (t7 > 0.0)
-                {
-                    all_innovations[1] = innovation_1 + (past_state[1] - predicted_state[1]);
-                }
-            }
-            const double t8 = late_1 - 0.5;
-            if (t8 > 0.0)
-            {
-                all_innovations[1] = row_1 - signal[1];
-            }
-            if ((present & 0x4u) != 0u)
-            {
-                const double t9 = 0.5 - late_2;
-                const double t10 = age_2 + 0.5;
-                const double t11 = (t9 < t10) ? t9 : t10;
-                if (t11 > 0.0)
-                {
-                    all_innovations[2] = innovation_2 + (past_state[2] - predicted_state[2]);
-                }
-            }
-            const double t12 = late_2 - 0.5;
-            if (t12 > 0.0)
-            {
-                all_innovations[2] = row_2 - signal[2];
-            }
-            if ((present & 0x8u) != 0u)
-            {
-                const double t13 = 0.5 - late_3;
-                const double t14 = age_3 + 0.5;
-                const double t15 = (t13 < t14) ? t13 : t14;
-                if (t15 > 0.0)
-                {
-                    all_innovations[3] = innovation_3 + (past_state[3] - predicted_state[3]);
-                }
-            }
-            const double t16 = late_3 - 0.5;
-            if (t16 > 0.0)
-            {
-                all_innovations[3] = row_3 - signal[3];
-            }
-            const double t17 = late_0 * late_0 * (signal_own[0] - predicted_covariance[0]);
-            all_variances[0] = predicted_covariance[0] + t17 + 1.0;
-            const double t18 = late_1 * (1.0 - late_0);
-            const double t19 = t18 * (signal_cross[3] - predicted_covariance[1]);
-            const double t20 = predicted_covariance[1] + t19;
-            const double t21 = t20 + (late_0 * (1.0 - late_1) * (signal_cross[0] - t20));
-            all_variances[1] = t21 + (late_1 * late_0 * (signal_own[4] - t21));
-            const double t22 = late_1 * late_1 * (signal_own[5] - predicted_covariance[2]);
-            all_variances[2] = predicted_covariance[2] + t22 + 1.0;
-            const double t23 = late_2 * (1.0 - late_0);
-            const double t24 = t23 * (signal_cross[7] - predicted_covariance[3]);
-            const double t25 = predicted_covariance[3] + t24;
-            const double t26 = t25 + (late_0 * (1.0 - late_2) * (signal_cross[1] - t25));
-            all_variances[3] = t26 + (late_2 * late_0 * (signal_own[8] - t26));
-            const double t27 = late_2 * (1.0 - late_1);
-            const double t28 = t27 * (signal_cross[8] - predicted_covariance[4]);
-            const double t29 = predicted_covariance[4] + t28;
-            const double t30 = t29 + (late_1 * (1.0 - late_2) * (signal_cross[5] - t29));
-            all_variances[4] = t30 + (late_2 * late_1 * (signal_own[9] - t30));
-            const double t31 = late_2 * late_2 * (signal_own[10] - predicted_covariance[5]);
-            all_variances[5] = predicted_covariance[5] + t31 + 0.09;
-            const double t32 = late_3 * (1.0 - late_0);
-            const double t33 = t32 * (signal_cross[11] - predicted_covariance[6]);
-            const double t34 = predicted_covariance[6] + t33;
-            const double t35 = t34 + (late_0 * (1.0 - late_3) * (signal_cross[2] - t34));
-            all_variances[6] = t35 + (late_3 * late_0 * (signal_own[12] - t35));
-            const double t36 = late_3 * (1.0 - late_1);
-            const double t37 = t36 * (signal_cross[12] - predicted_covariance[7]);
-            const double t38 = predicted_covariance[7] + t37;
-            const double t39 = t38 + (late_1 * (1.0 - late_3) * (signal_cross[6] - t38));
-            all_variances[7] = t39 + (late_3 * late_1 * (signal_own[13] - t39));
-            const double t40 = late_3 * (1.0 - late_2);
-            const double t41 = t40 * (signal_cross[13] - predicted_covariance[8]);
-            const double t42 = predicted_covariance[8] + t41;
-            const double t43 = t42 + (late_2 * (1.0 - late_3) * (signal_cross[10] - t42));
-            all_variances[8] = t43 + (late_3 * late_2 * (signal_own[14] - t43));
-            const double t44 = late_3 * late_3 * (signal_own[15] - predicted_covariance[9]);
-            all_variances[9] = predicted_covariance[9] + t44 + 0.09;
-        }
-    }
-
-    /* results of the update */
-    late_gps_results_of_the_update(age_0, &counted_0, &none_counted, ((present & 0x1u) != 0u));
-    late_gps_results_of_the_update(age_1, &counted_1, &none_counted, ((present & 0x2u) != 0u));
-    late_gps_results_of_the_update(age_2, &counted_2, &none_counted, ((present & 0x4u) != 0u));
-    late_gps_results_of_the_update(age_3, &counted_3, &none_counted, ((present & 0x8u) != 0u));
-    const double t45 = quadratic + late_nis;
-    const double t46 = -0.5 * (quadratic + (log_constant + late_gps_log(determinant_0)));
-    const double t47 = t46 + late_log_likelihood;
-    if (!late_gps_finite(((((late_gps_defect(covariance[0]) + late_gps_defect(covariance[1])) +
-        (late_gps_defect(covariance[2]) + late_gps_defect(covariance[3]))) +
-        ((late_gps_defect(covariance[4]) + late_gps_defect(covariance[5])) +
-        (late_gps_defect(covariance[6]) + late_gps_defect(covariance[7])))) +
-        (((late_gps_defect(covariance[8]) + late_gps_defect(covariance[9])) +
-        (late_gps_defect(all_innovations[0]) + late_gps_defect(all_innovations[1]))) +
-        ((late_gps_defect(all_innovations[2]) + late_gps_defect(all_innovations[3])) +
-        (late_gps_defect(all_variances[0]) + late_gps_defect(all_variances[1]))))) +
-        ((((late_gps_defect(all_variances[2]) + late_gps_defect(all_variances[3])) +
-        (late_gps_defect(all_variances[4]) + late_gps_defect(all_variances[5]))) +
-        ((late_gps_defect(all_variances[6]) + late_gps_defect(all_variances[7])) +
-        (late_gps_defect(all_variances[8]) + late_gps_defect(all_variances[9])))) +
-        (((late_gps_defect(t45) + late_gps_defect(t47)) + (late_gps_defect(counted_0) +
-        late_gps_defect(counted_1))) + ((late_gps_defect(counted_2) + late_gps_defect(counted_3)) +
-        late_gps_defect(none_counted))))))
-    {
-        return LATE_GPS_RESULT_NOT_FINITE;
-    }
-    late_gps_copy(mean, filtered_state, 4);
-    late_gps_copy(covariance, filtered_covariance, 10);
-    samples_before[0] = predicted_samples_before;
-    late_gps_copy(all_innovations, innovation, 4);
-    late_gps_copy(all_variances, innovation_covariance, 10);
-    nis[0] = t45;
-    log_likelihood[0] = t47;
-    counted[0] = counted_0;
-    counted[1] = counted_1;
-    counted[2] = counted_2;
-    counted[3] = counted_3;
-    nothing_counted[0] = none_counted;
-    return LATE_GPS_OK;
-}
-
-/* how late row 1 of y is, gps_north. */
-LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_2(const double predicted_samples_before,
-    const double *y, double *row_1, double *age_1, double *late_1, double *row_2, double *age_2,
-    double *late_2, double *row_3, double *age_3, double *late_3, const double row_0,
-    const double age_0, const double *predicted_state, double *past_state,
-    const double *past_state_2, const double *predicted_covariance, double *past_covariance,
-    const double *past_covariance_2, double *past_rows, const double *past_rows_2,
-    double *past_delay, const double *past_delay_2, double *past_parameters,
-    const double *past_parameters_2, const double late_0, double *longest_delay, double *signal,
-    double *signal_cross, double *signal_own, double *late_nis, double *late_log_likelihood,
-    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
-    double *determinant_0, const late_gps_params_t *params, uint32_t present)
-{
-    double late_flag[4] = { 0.0 };
-    double late_by[4] = { 0.0 };
-    double late_seen[4] = { 0.0 };
-    double late_noise[4] = { 0.0 };
+    double signal[4] = { 0.0 };
     double revised[4] = { 0.0 };
+    double signal_cross[16] = { 0.0 };
+    double signal_own[16] = { 0.0 };
     double revised_own[16] = { 0.0 };
     double late_shared_now[4] = { 0.0 };
     double late_pivot_now;
     double late_inverse_now;
     double late_news_now;
     double late_gain_now;
-    double pivot_0;
-    double inverse_0 = 0.0;
     late_gps_status_t status;
 
-    /* how late row 1 of y is, gps_north */
-    status = late_gps_how_late_row(predicted_samples_before, &y[1], row_1, age_1, late_1, row_2,
-        age_2, late_2, row_3, age_3, late_3, row_0, age_0, predicted_state, past_state,
-        past_state_2, predicted_covariance, past_covariance, past_covariance_2, past_rows,
-        past_rows_2, past_delay, past_delay_2, past_parameters, past_parameters_2, params, present);
+    /* the last samples once more, for what is late */
+    status = late_gps_the_last_samples_once(longest_delay, past_place, places, predicted_state,
+        predicted_covariance, past_state, past_covariance, signal, revised, signal_cross,
+        signal_own, revised_own, late_by, late_flag, late_noise, late_seen, known_state,
+        known_covariance, past_written, past_state_2, past_covariance_2, past_rows, past_rows_2,
+        past_delay, past_delay_2, past_parameters, past_parameters_2);
     if (status != LATE_GPS_OK) { return status; }
 
-    /* the last samples once more, for what is late */
-    const double t0 = params->delay_gps_east * late_0;
-    const double t1 = (0.0 > t0) ? 0.0 : t0;
-    const double t2 = params->delay_gps_north * late_1[0];
-    const double t3 = (t1 > t2) ? t1 : t2;
-    const double t4 = params->delay_gps_v_east * late_2[0];
-    const double t5 = (t3 > t4) ? t3 : t4;
-    const double t6 = params->delay_gps_v_north * late_3[0];
-    longest_delay[0] = (t5 > t6) ? t5 : t6;
-    const double t7 = longest_delay[0] - 0.5;
-    if (t7 > 0.0)
+    /* what late rows tell, about what was known before this sample */
+    const double t0 = longest_delay - 0.5;
+    if (t0 > 0.0)
     {
-        late_flag[0] = late_0;
-        late_flag[1] = late_1[0];
-        late_flag[2] = late_2[0];
-        late_flag[3] = late_3[0];
-    }
-    const double t8 = longest_delay[0] - 0.5;
-    if (t8 > 0.0)
-    {
-        late_by[0] = params->delay_gps_east;
-        late_by[1] = params->delay_gps_north;
-        late_by[2] = params->delay_gps_v_east;
-        late_by[3] = params->delay_gps_v_north;
-    }
-    const double t9 = longest_delay[0] - 0.5;
-    if (t9 > 0.0)
-    {
-        late_seen[0] = row_0;
-        late_seen[1] = row_1[0];
-        late_seen[2] = row_2[0];
-        late_seen[3] = row_3[0];
-    }
-    const double t10 = longest_delay[0] - 0.5;
-    if (t10 > 0.0)
-    {
-        late_noise[0] = 1.0;
-        late_noise[1] = 1.0;
-        late_noise[2] = 0.09;
-        late_noise[3] = 0.09;
-    }
-    status = late_gps_the_last_samples_once(longest_delay[0], past_state, past_covariance, late_by,
-        late_flag, signal, signal_cross, signal_own, past_delay, past_rows, past_parameters,
-        revised, revised_own, late_noise, late_seen);
-    if (status != LATE_GPS_OK) { return status; }
-    const double t11 = longest_delay[0] - 0.5;
-    if (t11 > 0.0)
-    {
-        for (int once = 0; once < 1; ++once)
+        late_gps_copy(signal, revised, 4);
+        late_gps_copy(signal_own, revised_own, 16);
+        for (int q = 0; q < 4; ++q)
         {
-            late_gps_copy(signal, revised, 4);
-            late_gps_copy(signal_own, revised_own, 16);
-            for (int q = 0; q < 4; ++q)
+            const double t1 = late_flag[q] - 0.5;
+            if (t1 > 0.0)
             {
-                const double t12 = late_flag[q] - 0.5;
-                if (t12 > 0.0)
+                for (int j = 0; j < 4; ++j)
                 {
-                    for (int late_row = 0; late_row < 1; ++late_row)
+                    late_shared_now[j] = revised_own[j + 4 * q];
+                }
+                late_pivot_now = revised_own[5 * q] + late_noise[q];
+                if (!(late_pivot_now > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+                late_inverse_now = 1.0 / late_pivot_now;
+                late_news_now = late_seen[q] - revised[q];
+                for (int a = 0; a < 4; ++a)
+                {
+                    late_gain_now = late_shared_now[a] * late_inverse_now;
+                    revised[a] = revised[a] + (late_gain_now * late_news_now);
+                    for (int j = 0; j < 4; ++j)
                     {
-                        for (int j = 0; j < 4; ++j)
-                        {
-                            late_shared_now[j] = revised_own[j + 4 * q];
-                        }
-                        late_pivot_now = revised_own[5 * q] + late_noise[q];
-                        if (!(late_pivot_now > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-                        late_inverse_now = 1.0 / late_pivot_now;
-                        late_news_now = late_seen[q] - revised[q];
-                        for (int a = 0; a < 4; ++a)
-                        {
-                            late_gain_now = late_shared_now[a] * late_inverse_now;
-                            revised[a] = revised[a] + (late_gain_now * late_news_now);
-                            for (int j = 0; j < 4; ++j)
-                            {
-                                const double t13 = late_gain_now * late_shared_now[j];
-                                revised_own[4 * a + j] = revised_own[4 * a + j] - t13;
-                            }
-                        }
-                        const double t14 = late_news_now * late_news_now * late_inverse_now;
-                        late_nis[0] = late_nis[0] + t14;
-                        const double t15 = t14 + late_gps_log(late_pivot_now) + LATE_GPS_LOG_2_PI;
-                        late_log_likelihood[0] = late_log_likelihood[0] - (0.5 * t15);
+                        const double t2 = late_gain_now * late_shared_now[j];
+                        revised_own[4 * a + j] = revised_own[4 * a + j] - t2;
                     }
                 }
+                const double t3 = late_news_now * late_news_now * late_inverse_now;
+                late_nis[0] = late_nis[0] + t3;
+                const double t4 = 0.5 * (t3 + late_gps_log(late_pivot_now) + LATE_GPS_LOG_2_PI);
+                late_log_likelihood[0] = late_log_likelihood[0] - t4;
             }
         }
+        if ((present & 0x1u) != 0u)
+        {
+            const double t5 = 0.5 - late_0;
+            const double t6 = age_0 + 0.5;
+            const double t7 = (t5 < t6) ? t5 : t6;
+            if (t7 > 0.0)
+            {
+                late_innovation[0] = y[0] - predicted_state[0];
+            }
+        }
+        const double t8 = late_0 - 0.5;
+        if (t8 > 0.0)
+        {
+            late_innovation[0] = row_0 - signal[0];
+        }
+        if ((present & 0x2u) != 0u)
+        {
+            const double t9 = 0.5 - late_1;
+            const double t10 = age_1 + 0.5;
+            const double t11 = (t9 < t10) ? t9 : t10;
+            if (t11 > 0.0)
+            {
+                late_innovation[1] = y[1] - predicted_state[1];
+            }
+        }
+        const double t12 = late_1 - 0.5;
+        if (t12 > 0.0)
+        {
+            late_innovation[1] = row_1 - signal[1];
+        }
+        if ((present & 0x4u) != 0u)
+        {
+            const double t13 = 0.5 - late_2;
+            const double t14 = age_2 + 0.5;
+            const double t15 = (t13 < t14) ? t13 : t14;
+            if (t15 > 0.0)
+            {
+                late_innovation[2] = y[2] - predicted_state[2];
+            }
+        }
+        const double t16 = late_2 - 0.5;
+        if (t16 > 0.0)
+        {
+            late_innovation[2] = row_2 - signal[2];
+        }
+        if ((present & 0x8u) != 0u)
+        {
+            const double t17 = 0.5 - late_3;
+            const double t18 = age_3 + 0.5;
+            const double t19 = (t17 < t18) ? t17 : t18;
+            if (t19 > 0.0)
+            {
+                late_innovation[3] = y[3] - predicted_state[3];
+            }
+        }
+        const double t20 = late_3 - 0.5;
+        if (t20 > 0.0)
+        {
+            late_innovation[3] = row_3 - signal[3];
+        }
+        const double t21 = late_0 * late_0 * (signal_own[0] - predicted_covariance[0]);
+        late_variances[0] = predicted_covariance[0] + t21 + 1.0;
+        const double t22 = late_1 * (1.0 - late_0) * (signal_cross[4] - predicted_covariance[1]);
+        const double t23 = predicted_covariance[1] + t22;
+        const double t24 = t23 + (late_0 * (1.0 - late_1) * (signal_cross[1] - t23));
+        late_variances[1] = t24 + (late_1 * late_0 * (signal_own[4] - t24));
+        const double t25 = late_1 * late_1 * (signal_own[5] - predicted_covariance[2]);
+        late_variances[2] = predicted_covariance[2] + t25 + 1.0;
+        const double t26 = late_2 * (1.0 - late_0) * (signal_cross[8] - predicted_covariance[3]);
+        const double t27 = predicted_covariance[3] + t26;
+        const double t28 = t27 + (late_0 * (1.0 - late_2) * (signal_cross[2] - t27));
+        late_variances[3] = t28 + (late_2 * late_0 * (signal_own[8] - t28));
+        const double t29 = late_2 * (1.0 - late_1) * (signal_cross[9] - predicted_covariance[4]);
+        const double t30 = predicted_covariance[4] + t29;
+        const double t31 = t30 + (late_1 * (1.0 - late_2) * (signal_cross[6] - t30));
+        late_variances[4] = t31 + (late_2 * late_1 * (signal_own[9] - t31));
+        const double t32 = late_2 * late_2 * (signal_own[10] - predicted_covariance[5]);
+        late_variances[5] = predicted_covariance[5] + t32 + 0.09;
+        const double t33 = late_3 * (1.0 - late_0) * (signal_cross[12] - predicted_covariance[6]);
+        const double t34 = predicted_covariance[6] + t33;
+        const double t35 = t34 + (late_0 * (1.0 - late_3) * (signal_cross[3] - t34));
+        late_variances[6] = t35 + (late_3 * late_0 * (signal_own[12] - t35));
+        const double t36 = late_3 * (1.0 - late_1) * (signal_cross[13] - predicted_covariance[7]);
+        const double t37 = predicted_covariance[7] + t36;
+        const double t38 = t37 + (late_1 * (1.0 - late_3) * (signal_cross[7] - t37));
+        late_variances[7] = t38 + (late_3 * late_1 * (signal_own[13] - t38));
+        const double t39 = late_3 * (1.0 - late_2) * (signal_cross[14] - predicted_covariance[8]);
+        const double t40 = predicted_covariance[8] + t39;
+        const double t41 = t40 + (late_2 * (1.0 - late_3) * (signal_cross[11] - t40));
+        late_variances[8] = t41 + (late_3 * late_2 * (signal_own[14] - t41));
+        const double t42 = late_3 * late_3 * (signal_own[15] - predicted_covariance[9]);
+        late_variances[9] = predicted_covariance[9] + t42 + 0.09;
     }
+    return LATE_GPS_OK;
+}
+
+/* the last samples once more, for what is late. */
+LATE_GPS_INLINE late_gps_status_t late_gps_the_last_samples_once_3(const double longest_delay,
+    const double past_place, const double *places, const double *predicted_state,
+    const double *predicted_covariance, const double *past_state, const double *past_covariance,
+    const double *late_by, const double *late_flag, const double *late_noise,
+    const double *late_seen, double *known_state, double *known_covariance, double *past_written,
+    double *past_state_2, double *past_covariance_2, const double *past_rows, double *past_rows_2,
+    const double *past_delay, double *past_delay_2, const double *past_parameters,
+    double *past_parameters_2, double *late_nis, double *late_log_likelihood, const double late_0,
+    const double age_0, const double *y, double *late_innovation, const double row_0,
+    const double late_1, const double age_1, const double row_1, const double late_2,
+    const double age_2, const double row_2, const double late_3, const double age_3,
+    const double row_3, double *late_variances, double *innovation_0, double *innovation_1,
+    double *innovation_2, double *innovation_3, double *variance, double *mean, double *covariance,
+    double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
+{
+    double pivot_0;
+    double inverse_0 = 0.0;
+    double pivot_1;
+    double inverse_1 = 0.0;
+    double pivot_2;
+    double inverse_2 = 0.0;
+    late_gps_status_t status;
+
+    /* the last samples once more, for what is late */
+    status = late_gps_the_last_samples_once_2(longest_delay, past_place, places, predicted_state,
+        predicted_covariance, past_state, past_covariance, late_by, late_flag, late_noise,
+        late_seen, known_state, known_covariance, past_written, past_state_2, past_covariance_2,
+        past_rows, past_rows_2, past_delay, past_delay_2, past_parameters, past_parameters_2,
+        late_nis, late_log_likelihood, late_0, age_0, y, late_innovation, row_0, late_1, age_1,
+        row_1, late_2, age_2, row_2, late_3, age_3, row_3, late_variances, present);
+    if (status != LATE_GPS_OK) { return status; }
 
     /* innovation, row by row */
-    late_gps_innovation(late_0, age_0, y, past_state[0], innovation_0, ((present & 0x1u) != 0u));
-    late_gps_innovation(late_1[0], age_1[0], &y[1], past_state[1], innovation_1,
-        ((present & 0x2u) != 0u));
-    late_gps_innovation(late_2[0], age_2[0], &y[2], past_state[2], innovation_2,
-        ((present & 0x4u) != 0u));
-    late_gps_innovation(late_3[0], age_3[0], &y[3], past_state[3], innovation_3,
-        ((present & 0x8u) != 0u));
-    variance[0] = past_covariance[0] + 1.0;
-    variance[2] = past_covariance[2] + 1.0;
-    variance[5] = past_covariance[5] + 0.09;
-    variance[9] = past_covariance[9] + 0.09;
-    variance[1] = past_covariance[1];
-    variance[3] = past_covariance[3];
-    variance[4] = past_covariance[4];
-    late_gps_copy(&past_covariance[6], &variance[6], 3);
-    late_gps_copy(past_state, mean, 4);
-    late_gps_copy(past_covariance, covariance, 10);
+    late_gps_innovation(late_0, age_0, y, known_state[0], innovation_0, ((present & 0x1u) != 0u));
+    late_gps_innovation(late_1, age_1, &y[1], known_state[1], innovation_1, ((present & 0x2u) !=
+        0u));
+    late_gps_innovation(late_2, age_2, &y[2], known_state[2], innovation_2, ((present & 0x4u) !=
+        0u));
+    late_gps_innovation(late_3, age_3, &y[3], known_state[3], innovation_3, ((present & 0x8u) !=
+        0u));
+    variance[0] = known_covariance[0] + 1.0;
+    variance[2] = known_covariance[2] + 1.0;
+    variance[5] = known_covariance[5] + 0.09;
+    variance[9] = known_covariance[9] + 0.09;
+    variance[1] = known_covariance[1];
+    variance[3] = known_covariance[3];
+    variance[4] = known_covariance[4];
+    late_gps_copy(&known_covariance[6], &variance[6], 3);
+    late_gps_part_2(known_state, mean, known_covariance, covariance);
 
     /* row 0 of y, gps_east */
-    pivot_0 = past_covariance[0] + 1.0;
+    pivot_0 = known_covariance[0] + 1.0;
     if ((present & 0x1u) != 0u)
     {
-        const double t16 = 0.5 - late_0;
-        const double t17 = age_0 + 0.5;
-        const double t18 = (t16 < t17) ? t16 : t17;
-        if (t18 > 0.0)
+        const double t0 = 0.5 - late_0;
+        const double t1 = age_0 + 0.5;
+        const double t2 = (t0 < t1) ? t0 : t1;
+        if (t2 > 0.0)
         {
             if (!(pivot_0 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
             inverse_0 = 1.0 / pivot_0;
-            const double t19 = innovation_0[0] * inverse_0;
-            quadratic[0] = innovation_0[0] * t19;
-            mean[0] = past_state[0] + (past_covariance[0] * t19);
-            mean[1] = past_state[1] + (past_covariance[1] * t19);
-            mean[2] = past_state[2] + (past_covariance[3] * t19);
-            mean[3] = past_state[3] + (past_covariance[6] * t19);
-            const double t20 = past_covariance[0] * inverse_0 * past_covariance[0];
-            covariance[0] = past_covariance[0] - t20;
-            const double t21 = past_covariance[1] * inverse_0;
-            covariance[1] = past_covariance[1] - (t21 * past_covariance[0]);
-            covariance[2] = past_covariance[2] - (t21 * past_covariance[1]);
-            const double t22 = past_covariance[3] * inverse_0;
-            covariance[3] = past_covariance[3] - (t22 * past_covariance[0]);
-            covariance[4] = past_covariance[4] - (t22 * past_covariance[1]);
-            covariance[5] = past_covariance[5] - (t22 * past_covariance[3]);
-            const double t23 = past_covariance[6] * inverse_0;
-            covariance[6] = past_covariance[6] - (t23 * past_covariance[0]);
-            covariance[7] = past_covariance[7] - (t23 * past_covariance[1]);
-            covariance[8] = past_covariance[8] - (t23 * past_covariance[3]);
-            covariance[9] = past_covariance[9] - (t23 * past_covariance[6]);
+            const double t3 = innovation_0[0] * inverse_0;
+            quadratic[0] = innovation_0[0] * t3;
+            mean[0] = known_state[0] + (known_covariance[0] * t3);
+            mean[1] = known_state[1] + (known_covariance[1] * t3);
+            mean[2] = known_state[2] + (known_covariance[3] * t3);
+            mean[3] = known_state[3] + (known_covariance[6] * t3);
+            const double t4 = known_covariance[0] * inverse_0 * known_covariance[0];
+            covariance[0] = known_covariance[0] - t4;
+            const double t5 = known_covariance[1] * inverse_0;
+            covariance[1] = known_covariance[1] - (t5 * known_covariance[0]);
+            covariance[2] = known_covariance[2] - (t5 * known_covariance[1]);
+            const double t6 = known_covariance[3] * inverse_0;
+            covariance[3] = known_covariance[3] - (t6 * known_covariance[0]);
+            covariance[4] = known_covariance[4] - (t6 * known_covariance[1]);
+            covariance[5] = known_covariance[5] - (t6 * known_covariance[3]);
+            const double t7 = known_covariance[6] * inverse_0;
+            covariance[6] = known_covariance[6] - (t7 * known_covariance[0]);
+            covariance[7] = known_covariance[7] - (t7 * known_covariance[1]);
+            covariance[8] = known_covariance[8] - (t7 * known_covariance[3]);
+            covariance[9] = known_covariance[9] - (t7 * known_covariance[6]);
             log_constant[0] = LATE_GPS_LOG_2_PI;
             determinant_0[0] = pivot_0;
+        }
+    }
+
+    /* row 1 of y, gps_north */
+    pivot_1 = covariance[2] + 1.0;
+    if ((present & 0x2u) != 0u)
+    {
+        const double t8 = 0.5 - late_1;
+        const double t9 = age_1 + 0.5;
+        const double t10 = (t8 < t9) ? t8 : t9;
+        if (t10 > 0.0)
+        {
+            if (!(pivot_1 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_1 = 1.0 / pivot_1;
+            const double t11 = innovation_1[0] - (mean[1] - known_state[1]);
+            const double t12 = t11 * inverse_1;
+            quadratic[0] = quadratic[0] + (t11 * t12);
+            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
+            determinant_0[0] = determinant_0[0] * pivot_1;
+            mean[0] = mean[0] + (covariance[1] * t12);
+            mean[1] = mean[1] + (covariance[2] * t12);
+            mean[2] = mean[2] + (covariance[4] * t12);
+            mean[3] = mean[3] + (covariance[7] * t12);
+            covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
+            const double t13 = covariance[2] * inverse_1;
+            const double t14 = covariance[1] - (t13 * covariance[1]);
+            const double t15 = covariance[2] - (t13 * covariance[2]);
+            const double t16 = covariance[4] * inverse_1;
+            covariance[3] = covariance[3] - (t16 * covariance[1]);
+            const double t17 = covariance[4] - (t16 * covariance[2]);
+            covariance[5] = covariance[5] - (t16 * covariance[4]);
+            const double t18 = covariance[7] * inverse_1;
+            covariance[6] = covariance[6] - (t18 * covariance[1]);
+            const double t19 = covariance[7] - (t18 * covariance[2]);
+            covariance[8] = covariance[8] - (t18 * covariance[4]);
+            covariance[9] = covariance[9] - (t18 * covariance[7]);
+            covariance[1] = t14;
+            covariance[2] = t15;
+            covariance[4] = t17;
+            covariance[7] = t19;
+        }
+    }
+
+    /* row 2 of y, gps_v_east */
+    pivot_2 = covariance[5] + 0.09;
+    if ((present & 0x4u) != 0u)
+    {
+        const double t20 = 0.5 - late_2;
+        const double t21 = age_2 + 0.5;
+        const double t22 = (t20 < t21) ? t20 : t21;
+        if (t22 > 0.0)
+        {
+            if (!(pivot_2 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
+            inverse_2 = 1.0 / pivot_2;
+            const double t23 = innovation_2[0] - (mean[2] - known_state[2]);
+            const double t24 = t23 * inverse_2;
+            quadratic[0] = quadratic[0] + (t23 * t24);
+            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
+            determinant_0[0] = determinant_0[0] * pivot_2;
+            mean[0] = mean[0] + (covariance[3] * t24);
+            mean[1] = mean[1] + (covariance[4] * t24);
+            mean[2] = mean[2] + (covariance[5] * t24);
+            mean[3] = mean[3] + (covariance[8] * t24);
+            covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
+            const double t25 = covariance[4] * inverse_2;
+            covariance[1] = covariance[1] - (t25 * covariance[3]);
+            covariance[2] = covariance[2] - (t25 * covariance[4]);
+            const double t26 = covariance[5] * inverse_2;
+            const double t27 = covariance[3] - (t26 * covariance[3]);
+            const double t28 = covariance[4] - (t26 * covariance[4]);
+            const double t29 = covariance[5] - (t26 * covariance[5]);
+            const double t30 = covariance[8] * inverse_2;
+            covariance[6] = covariance[6] - (t30 * covariance[3]);
+            covariance[7] = covariance[7] - (t30 * covariance[4]);
+            const double t31 = covariance[8] - (t30 * covariance[5]);
+            covariance[9] = covariance[9] - (t30 * covariance[8]);
+            covariance[3] = t27;
+            covariance[4] = t28;
+            covariance[5] = t29;
+            covariance[8] = t31;
         }
     }
     return LATE_GPS_OK;
 }
 
 /* how late row 0 of y is, gps_east. */
-LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_3(const double predicted_samples_before,
-    const double *y, double *row_0, double *age_0, double *late_0, double *row_1, double *age_1,
-    double *late_1, double *row_2, double *age_2, double *late_2, double *row_3, double *age_3,
-    double *late_3, const double *predicted_state, double *past_state, const double *past_state_2,
-    const double *predicted_covariance, double *past_covariance, const double *past_covariance_2,
-    double *past_rows, const double *past_rows_2, double *past_delay, const double *past_delay_2,
-    double *past_parameters, const double *past_parameters_2, double *longest_delay, double *signal,
-    double *signal_cross, double *signal_own, double *late_nis, double *late_log_likelihood,
+LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row(const double predicted_samples_before,
+    const double *y, double *age_0, double *age_1, double *age_2, double *age_3,
+    const double past_place, double *past_written, const double *predicted_state,
+    double *past_state, const double *predicted_covariance, double *past_covariance,
+    double *past_rows, double *past_delay, double *past_parameters, double *longest_delay,
+    const double *past_state_2, const double *past_covariance_2, const double *past_rows_2,
+    const double *past_delay_2, const double *past_parameters_2, double *late_nis,
+    double *late_log_likelihood, double *late_innovation, double *late_variances,
     double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    double *mean, double *covariance, double *quadratic, double *log_constant,
-    double *determinant_0, double *all_innovations, double *all_variances,
-    const late_gps_params_t *params, uint32_t present)
+    double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
+    double *determinant_0, const late_gps_params_t *params, uint32_t present)
 {
-    double variance[10] = { 0.0 };
-    double pivot_1;
-    double inverse_1 = 0.0;
-    double pivot_2;
-    double inverse_2 = 0.0;
+    double row_0 = 0.0;
+    double late_0 = 0.0;
+    double row_1 = 0.0;
+    double late_1 = 0.0;
+    double row_2 = 0.0;
+    double late_2 = 0.0;
+    double row_3 = 0.0;
+    double late_3 = 0.0;
+    static const double places[9] = {
+        0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0
+    };
+    double known_state[4] = { 0.0 };
+    double known_covariance[10] = { 0.0 };
+    double late_flag[4] = { 0.0 };
+    double late_by[4] = { 0.0 };
+    double late_seen[4] = { 0.0 };
+    double late_noise[4] = { 0.0 };
     double pivot_3;
     double inverse_3 = 0.0;
     late_gps_status_t status;
@@ -1086,135 +966,196 @@ LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_3(const double predicted
         const double t2 = (predicted_samples_before - params->delay_gps_east) + 0.5;
         if (t2 > 0.0)
         {
-            row_0[0] = y[0];
+            row_0 = y[0];
             age_0[0] = params->delay_gps_east;
-            late_0[0] = (0.5 < params->delay_gps_east) ? 1.0 : 0.0;
+            late_0 = (0.5 < params->delay_gps_east) ? 1.0 : 0.0;
         }
     }
 
     /* how late row 1 of y is, gps_north */
-    status = late_gps_how_late_row_2(predicted_samples_before, y, row_1, age_1, late_1, row_2,
-        age_2, late_2, row_3, age_3, late_3, row_0[0], age_0[0], predicted_state, past_state,
-        past_state_2, predicted_covariance, past_covariance, past_covariance_2, past_rows,
-        past_rows_2, past_delay, past_delay_2, past_parameters, past_parameters_2, late_0[0],
-        longest_delay, signal, signal_cross, signal_own, late_nis, late_log_likelihood,
-        innovation_0, innovation_1, innovation_2, innovation_3, variance, mean, covariance,
-        quadratic, log_constant, determinant_0, params, present);
-    if (status != LATE_GPS_OK) { return status; }
-
-    /* row 1 of y, gps_north */
-    pivot_1 = covariance[2] + 1.0;
     if ((present & 0x2u) != 0u)
     {
-        const double t3 = 0.5 - late_1[0];
-        const double t4 = age_1[0] + 0.5;
-        const double t5 = (t3 < t4) ? t3 : t4;
+        const double t3 = 8.0 - params->delay_gps_north;
+        const double t4 = late_gps_floor(params->delay_gps_north) - params->delay_gps_north;
+        if (!((params->delay_gps_north >= 0.0) && (t3 >= 0.0) && (t4 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        const double t5 = (predicted_samples_before - params->delay_gps_north) + 0.5;
         if (t5 > 0.0)
         {
-            if (!(pivot_1 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_1 = 1.0 / pivot_1;
-            const double t6 = innovation_1[0] - (mean[1] - past_state[1]);
-            const double t7 = t6 * inverse_1;
-            quadratic[0] = quadratic[0] + (t6 * t7);
-            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
-            determinant_0[0] = determinant_0[0] * pivot_1;
-            mean[0] = mean[0] + (covariance[1] * t7);
-            mean[1] = mean[1] + (covariance[2] * t7);
-            mean[2] = mean[2] + (covariance[4] * t7);
-            mean[3] = mean[3] + (covariance[7] * t7);
-            covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
-            const double t8 = covariance[2] * inverse_1;
-            const double t9 = covariance[1] - (t8 * covariance[1]);
-            const double t10 = covariance[2] - (t8 * covariance[2]);
-            const double t11 = covariance[4] * inverse_1;
-            covariance[3] = covariance[3] - (t11 * covariance[1]);
-            const double t12 = covariance[4] - (t11 * covariance[2]);
-            covariance[5] = covariance[5] - (t11 * covariance[4]);
-            const double t13 = covariance[7] * inverse_1;
-            covariance[6] = covariance[6] - (t13 * covariance[1]);
-            const double t14 = covariance[7] - (t13 * covariance[2]);
-            covariance[8] = covariance[8] - (t13 * covariance[4]);
-            covariance[9] = covariance[9] - (t13 * covariance[7]);
-            covariance[1] = t9;
-            covariance[2] = t10;
-            covariance[4] = t12;
-            covariance[7] = t14;
+            row_1 = y[1];
+            age_1[0] = params->delay_gps_north;
+            late_1 = (0.5 < params->delay_gps_north) ? 1.0 : 0.0;
         }
     }
 
-    /* row 2 of y, gps_v_east */
-    pivot_2 = covariance[5] + 0.09;
+    /* how late row 2 of y is, gps_v_east */
     if ((present & 0x4u) != 0u)
     {
-        const double t15 = 0.5 - late_2[0];
-        const double t16 = age_2[0] + 0.5;
-        const double t17 = (t15 < t16) ? t15 : t16;
-        if (t17 > 0.0)
+        const double t6 = 8.0 - params->delay_gps_v_east;
+        const double t7 = late_gps_floor(params->delay_gps_v_east) - params->delay_gps_v_east;
+        if (!((params->delay_gps_v_east >= 0.0) && (t6 >= 0.0) && (t7 >= 0.0)))
         {
-            if (!(pivot_2 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
-            inverse_2 = 1.0 / pivot_2;
-            const double t18 = innovation_2[0] - (mean[2] - past_state[2]);
-            const double t19 = t18 * inverse_2;
-            quadratic[0] = quadratic[0] + (t18 * t19);
-            log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
-            determinant_0[0] = determinant_0[0] * pivot_2;
-            mean[0] = mean[0] + (covariance[3] * t19);
-            mean[1] = mean[1] + (covariance[4] * t19);
-            mean[2] = mean[2] + (covariance[5] * t19);
-            mean[3] = mean[3] + (covariance[8] * t19);
-            covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
-            const double t20 = covariance[4] * inverse_2;
-            covariance[1] = covariance[1] - (t20 * covariance[3]);
-            covariance[2] = covariance[2] - (t20 * covariance[4]);
-            const double t21 = covariance[5] * inverse_2;
-            const double t22 = covariance[3] - (t21 * covariance[3]);
-            const double t23 = covariance[4] - (t21 * covariance[4]);
-            const double t24 = covariance[5] - (t21 * covariance[5]);
-            const double t25 = covariance[8] * inverse_2;
-            covariance[6] = covariance[6] - (t25 * covariance[3]);
-            covariance[7] = covariance[7] - (t25 * covariance[4]);
-            const double t26 = covariance[8] - (t25 * covariance[5]);
-            covariance[9] = covariance[9] - (t25 * covariance[8]);
-            covariance[3] = t22;
-            covariance[4] = t23;
-            covariance[5] = t24;
-            covariance[8] = t26;
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
         }
     }
+    if ((present & 0x4u) != 0u)
+    {
+        const double t8 = (predicted_samples_before - params->delay_gps_v_east) + 0.5;
+        if (t8 > 0.0)
+        {
+            row_2 = y[2];
+            age_2[0] = params->delay_gps_v_east;
+            late_2 = (0.5 < params->delay_gps_v_east) ? 1.0 : 0.0;
+        }
+    }
+
+    /* how late row 3 of y is, gps_v_north */
+    if ((present & 0x8u) != 0u)
+    {
+        const double t9 = 8.0 - params->delay_gps_v_north;
+        const double t10 = late_gps_floor(params->delay_gps_v_north) - params->delay_gps_v_north;
+        if (!((params->delay_gps_v_north >= 0.0) && (t9 >= 0.0) && (t10 >= 0.0)))
+        {
+            return LATE_GPS_PARAMETER_OUT_OF_RANGE;
+        }
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t11 = (predicted_samples_before - params->delay_gps_v_north) + 0.5;
+        if (t11 > 0.0)
+        {
+            row_3 = y[3];
+            age_3[0] = params->delay_gps_v_north;
+            late_3 = (0.5 < params->delay_gps_v_north) ? 1.0 : 0.0;
+        }
+    }
+
+    /* this sample in the place of the one that is forgotten */
+    for (int slot = 0; slot < 9; ++slot)
+    {
+        const double t12 = (places[slot] < (past_place + 0.5)) ? 1.0 : 0.0;
+        const double t13 = t12 * (((past_place - 0.5) < places[slot]) ? 1.0 : 0.0);
+        if (!late_gps_finite(late_gps_defect(t13))) { return LATE_GPS_RESULT_NOT_FINITE; }
+        past_written[slot] = t13;
+        const double t14 = (places[slot] < (past_place + 0.5)) ? 1.0 : 0.0;
+        const double t15 = (t14 * (((past_place - 0.5) < places[slot]) ? 1.0 : 0.0)) - 0.5;
+        if (t15 > 0.0)
+        {
+            if (!late_gps_finite((((late_gps_defect(row_0) + late_gps_defect(row_1)) +
+                late_gps_defect(row_2)) + (late_gps_defect(row_3) + late_gps_defect(age_0[0]))) +
+                ((late_gps_defect(age_1[0]) + late_gps_defect(age_2[0])) +
+                (late_gps_defect(age_3[0]) + late_gps_defect(params->dt)))))
+            {
+                return LATE_GPS_RESULT_NOT_FINITE;
+            }
+            past_state[4 * slot] = predicted_state[0];
+            past_state[4 * slot + 1] = predicted_state[1];
+            past_state[4 * slot + 2] = predicted_state[2];
+            past_state[4 * slot + 3] = predicted_state[3];
+            past_covariance[10 * slot] = predicted_covariance[0];
+            past_covariance[10 * slot + 1] = predicted_covariance[1];
+            past_covariance[10 * slot + 2] = predicted_covariance[2];
+            past_covariance[10 * slot + 3] = predicted_covariance[3];
+            past_covariance[10 * slot + 4] = predicted_covariance[4];
+            past_covariance[10 * slot + 5] = predicted_covariance[5];
+            past_covariance[10 * slot + 6] = predicted_covariance[6];
+            past_covariance[10 * slot + 7] = predicted_covariance[7];
+            past_covariance[10 * slot + 8] = predicted_covariance[8];
+            past_covariance[10 * slot + 9] = predicted_covariance[9];
+            past_rows[4 * slot] = row_0;
+            past_rows[4 * slot + 1] = row_1;
+            past_rows[4 * slot + 2] = row_2;
+            past_rows[4 * slot + 3] = row_3;
+            past_delay[4 * slot] = age_0[0];
+            past_delay[4 * slot + 1] = age_1[0];
+            past_delay[4 * slot + 2] = age_2[0];
+            past_delay[4 * slot + 3] = age_3[0];
+            past_parameters[slot] = params->dt;
+        }
+    }
+
+    /* what was predicted, and how late rows are at most */
+    const double t16 = params->delay_gps_east * late_0;
+    const double t17 = (0.0 > t16) ? 0.0 : t16;
+    const double t18 = params->delay_gps_north * late_1;
+    const double t19 = (t17 > t18) ? t17 : t18;
+    const double t20 = params->delay_gps_v_east * late_2;
+    const double t21 = (t19 > t20) ? t19 : t20;
+    const double t22 = params->delay_gps_v_north * late_3;
+    longest_delay[0] = (t21 > t22) ? t21 : t22;
+    late_gps_part_2(predicted_state, known_state, predicted_covariance, known_covariance);
+
+    /* what is late, where loops find it */
+    const double t23 = longest_delay[0] - 0.5;
+    if (t23 > 0.0)
+    {
+        late_flag[0] = late_0;
+        late_flag[1] = late_1;
+        late_flag[2] = late_2;
+        late_flag[3] = late_3;
+        late_by[0] = params->delay_gps_east;
+        late_by[1] = params->delay_gps_north;
+        late_by[2] = params->delay_gps_v_east;
+        late_by[3] = params->delay_gps_v_north;
+        late_seen[0] = row_0;
+        late_seen[1] = row_1;
+        late_seen[2] = row_2;
+        late_seen[3] = row_3;
+        late_noise[0] = 1.0;
+        late_noise[1] = 1.0;
+        late_noise[2] = 0.09;
+        late_noise[3] = 0.09;
+    }
+
+    /* the last samples once more, for what is late */
+    status = late_gps_the_last_samples_once_3(longest_delay[0], past_place, places, predicted_state,
+        predicted_covariance, past_state_2, past_covariance_2, late_by, late_flag, late_noise,
+        late_seen, known_state, known_covariance, past_written, past_state, past_covariance,
+        past_rows_2, past_rows, past_delay_2, past_delay, past_parameters_2, past_parameters,
+        late_nis, late_log_likelihood, late_0, age_0[0], y, late_innovation, row_0, late_1,
+        age_1[0], row_1, late_2, age_2[0], row_2, late_3, age_3[0], row_3, late_variances,
+        innovation_0, innovation_1, innovation_2, innovation_3, variance, mean, covariance,
+        quadratic, log_constant, determinant_0, present);
+    if (status != LATE_GPS_OK) { return status; }
 
     /* row 3 of y, gps_v_north */
     pivot_3 = covariance[9] + 0.09;
     if ((present & 0x8u) != 0u)
     {
-        const double t27 = 0.5 - late_3[0];
-        const double t28 = age_3[0] + 0.5;
-        const double t29 = (t27 < t28) ? t27 : t28;
-        if (t29 > 0.0)
+        const double t24 = 0.5 - late_3;
+        const double t25 = age_3[0] + 0.5;
+        const double t26 = (t24 < t25) ? t24 : t25;
+        if (t26 > 0.0)
         {
             if (!(pivot_3 > 0.0)) { return LATE_GPS_NOT_POSITIVE_DEFINITE; }
             inverse_3 = 1.0 / pivot_3;
-            const double t30 = innovation_3[0] - (mean[3] - past_state[3]);
-            const double t31 = t30 * inverse_3;
-            quadratic[0] = quadratic[0] + (t30 * t31);
+            const double t27 = innovation_3[0] - (mean[3] - known_state[3]);
+            const double t28 = t27 * inverse_3;
+            quadratic[0] = quadratic[0] + (t27 * t28);
             log_constant[0] = log_constant[0] + LATE_GPS_LOG_2_PI;
             determinant_0[0] = determinant_0[0] * pivot_3;
-            mean[0] = mean[0] + (covariance[6] * t31);
-            mean[1] = mean[1] + (covariance[7] * t31);
-            mean[2] = mean[2] + (covariance[8] * t31);
-            mean[3] = mean[3] + (covariance[9] * t31);
+            mean[0] = mean[0] + (covariance[6] * t28);
+            mean[1] = mean[1] + (covariance[7] * t28);
+            mean[2] = mean[2] + (covariance[8] * t28);
+            mean[3] = mean[3] + (covariance[9] * t28);
             covariance[0] = covariance[0] - (covariance[6] * inverse_3 * covariance[6]);
-            const double t32 = covariance[7] * inverse_3;
-            covariance[1] = covariance[1] - (t32 * covariance[6]);
-            covariance[2] = covariance[2] - (t32 * covariance[7]);
-            const double t33 = covariance[8] * inverse_3;
-            covariance[3] = covariance[3] - (t33 * covariance[6]);
-            covariance[4] = covariance[4] - (t33 * covariance[7]);
-            covariance[5] = covariance[5] - (t33 * covariance[8]);
-            const double t34 = covariance[9] * inverse_3;
-            covariance[6] = covariance[6] - (t34 * covariance[6]);
-            covariance[7] = covariance[7] - (t34 * covariance[7]);
-            covariance[8] = covariance[8] - (t34 * covariance[8]);
-            covariance[9] = covariance[9] - (t34 * covariance[9]);
+            const double t29 = covariance[7] * inverse_3;
+            covariance[1] = covariance[1] - (t29 * covariance[6]);
+            covariance[2] = covariance[2] - (t29 * covariance[7]);
+            const double t30 = covariance[8] * inverse_3;
+            covariance[3] = covariance[3] - (t30 * covariance[6]);
+            covariance[4] = covariance[4] - (t30 * covariance[7]);
+            covariance[5] = covariance[5] - (t30 * covariance[8]);
+            const double t31 = covariance[9] * inverse_3;
+            covariance[6] = covariance[6] - (t31 * covariance[6]);
+            covariance[7] = covariance[7] - (t31 * covariance[7]);
+            covariance[8] = covariance[8] - (t31 * covariance[8]);
+            covariance[9] = covariance[9] - (t31 * covariance[9]);
         }
     }
     if (!late_gps_finite((late_gps_defect(mean[0]) + late_gps_defect(mean[1])) +
@@ -1222,47 +1163,37 @@ LATE_GPS_INLINE late_gps_status_t late_gps_how_late_row_3(const double predicted
     {
         return LATE_GPS_RESULT_NOT_FINITE;
     }
-    all_innovations[0] = innovation_0[0];
-    all_innovations[1] = innovation_1[0];
-    all_innovations[2] = innovation_2[0];
-    all_innovations[3] = innovation_3[0];
-    late_gps_copy(variance, all_variances, 10);
     return LATE_GPS_OK;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
-static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps_params_t *params,
-    const double *y, uint32_t present, late_gps_t *next)
+LATE_GPS_INLINE late_gps_status_t late_gps_correct(const late_gps_t *self,
+    const late_gps_params_t *params, const double *y, uint32_t present, late_gps_t *next)
 {
-    double late_0 = 0.0;
-    double late_1 = 0.0;
-    double late_2 = 0.0;
-    double late_3 = 0.0;
-    double row_0 = 0.0;
     double age_0 = -1.0;
-    double row_1 = 0.0;
     double age_1 = -1.0;
-    double row_2 = 0.0;
     double age_2 = -1.0;
-    double row_3 = 0.0;
     double age_3 = -1.0;
-    double signal[4] = { 0.0 };
-    double signal_cross[16] = { 0.0 };
-    double signal_own[16] = { 0.0 };
+    double longest_delay = 0.0;
     double late_nis = 0.0;
     double late_log_likelihood = 0.0;
-    double longest_delay = 0.0;
+    double late_innovation[4] = { 0.0 };
+    double late_variances[10] = { 0.0 };
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
     double innovation_2 = 0.0;
     double innovation_3 = 0.0;
+    double variance[10] = { 0.0 };
     double mean[4] = { 0.0 };
     double covariance[10] = { 0.0 };
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
-    double all_innovations[4] = { 0.0 };
-    double all_variances[10] = { 0.0 };
+    double none_counted = 1.0;
+    double counted_0 = 0.0;
+    double counted_1 = 0.0;
+    double counted_2 = 0.0;
+    double counted_3 = 0.0;
     late_gps_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0) &&
         (self->predicted_covariance[5] >= 0.0) && (self->predicted_covariance[9] >= 0.0)))
@@ -1271,32 +1202,78 @@ static late_gps_status_t late_gps_correct(const late_gps_t *self, const late_gps
     }
 
     /* how late row 0 of y is, gps_east */
-    status = late_gps_how_late_row_3(self->predicted_samples_before, y, &row_0, &age_0, &late_0,
-        &row_1, &age_1, &late_1, &row_2, &age_2, &late_2, &row_3, &age_3, &late_3,
-        self->predicted_state, next->past_state, self->past_state, self->predicted_covariance,
-        next->past_covariance, self->past_covariance, next->past_rows, self->past_rows,
-        next->past_delay, self->past_delay, next->past_parameters, self->past_parameters,
-        &longest_delay, signal, signal_cross, signal_own, &late_nis, &late_log_likelihood,
-        &innovation_0, &innovation_1, &innovation_2, &innovation_3, mean, covariance, &quadratic,
-        &log_constant, &determinant_0, all_innovations, all_variances, params, present);
+    status = late_gps_how_late_row(self->predicted_samples_before, y, &age_0, &age_1, &age_2,
+        &age_3, self->past_place, next->past_written, self->predicted_state, next->past_state,
+        self->predicted_covariance, next->past_covariance, next->past_rows, next->past_delay,
+        next->past_parameters, &longest_delay, self->past_state, self->past_covariance,
+        self->past_rows, self->past_delay, self->past_parameters, &late_nis, &late_log_likelihood,
+        late_innovation, late_variances, &innovation_0, &innovation_1, &innovation_2, &innovation_3,
+        variance, mean, covariance, &quadratic, &log_constant, &determinant_0, params, present);
     if (status != LATE_GPS_OK) { return status; }
 
-    /* innovations about what was known before this sample */
-    status = late_gps_innovations_about_what_was(longest_delay, late_0, age_0, next->past_state,
-        self->predicted_state, innovation_0, all_innovations, row_0, signal, late_1, age_1,
-        innovation_1, row_1, late_2, age_2, innovation_2, row_2, late_3, age_3, innovation_3, row_3,
-        signal_own, self->predicted_covariance, &signal_cross[1], all_variances, quadratic,
-        late_nis, determinant_0, log_constant, late_log_likelihood, covariance, mean,
-        next->filtered_state, next->filtered_covariance, self->predicted_samples_before,
-        &next->samples_before, next->innovation, next->innovation_covariance, &next->nis,
-        &next->log_likelihood, next->counted, &next->nothing_counted, present);
-    if (status != LATE_GPS_OK) { return status; }
+    /* results of the update */
+    late_gps_results_of_the_update(age_0, &counted_0, &none_counted, ((present & 0x1u) != 0u));
+    late_gps_results_of_the_update(age_1, &counted_1, &none_counted, ((present & 0x2u) != 0u));
+    late_gps_results_of_the_update(age_2, &counted_2, &none_counted, ((present & 0x4u) != 0u));
+    late_gps_results_of_the_update(age_3, &counted_3, &none_counted, ((present & 0x8u) != 0u));
+    const double t0 = quadratic + late_nis;
+    const double t1 = -0.5 * (quadratic + (log_constant + late_gps_log(determinant_0)));
+    const double t2 = t1 + late_log_likelihood;
+    const double t3 = ((self->past_place < 7.5) ? 1.0 : 0.0) * (self->past_place + 1.0);
+    if (!late_gps_finite(((((late_gps_defect(covariance[0]) + late_gps_defect(covariance[1])) +
+        (late_gps_defect(covariance[2]) + late_gps_defect(covariance[3]))) +
+        ((late_gps_defect(covariance[4]) + late_gps_defect(covariance[5])) +
+        late_gps_defect(covariance[6]))) + (((late_gps_defect(covariance[7]) +
+        late_gps_defect(covariance[8])) + late_gps_defect(covariance[9])) +
+        ((late_gps_defect(innovation_0) + late_gps_defect(innovation_1)) +
+        late_gps_defect(innovation_2)))) + ((((late_gps_defect(innovation_3) +
+        late_gps_defect(variance[0])) + (late_gps_defect(variance[2]) +
+        late_gps_defect(variance[5]))) + ((late_gps_defect(variance[9]) + late_gps_defect(t0)) +
+        late_gps_defect(t2))) + (((late_gps_defect(t3) + late_gps_defect(counted_0)) +
+        late_gps_defect(counted_1)) + ((late_gps_defect(counted_2) + late_gps_defect(counted_3)) +
+        late_gps_defect(none_counted))))))
+    {
+        return LATE_GPS_RESULT_NOT_FINITE;
+    }
+    late_gps_copy(mean, next->filtered_state, 4);
+    late_gps_copy(covariance, next->filtered_covariance, 10);
+    next->samples_before = self->predicted_samples_before;
+    next->innovation[0] = innovation_0;
+    next->innovation[1] = innovation_1;
+    next->innovation[2] = innovation_2;
+    next->innovation[3] = innovation_3;
+    late_gps_copy(variance, next->innovation_covariance, 10);
+    next->nis = t0;
+    next->log_likelihood = t2;
+    next->past_place = t3;
+    next->counted[0] = counted_0;
+    next->counted[1] = counted_1;
+    next->counted[2] = counted_2;
+    next->counted[3] = counted_3;
+    next->nothing_counted = none_counted;
+    const double t4 = longest_delay - 0.5;
+    if (t4 > 0.0)
+    {
+        if (!late_gps_finite((((late_gps_defect(late_innovation[0]) +
+            late_gps_defect(late_innovation[1])) + (late_gps_defect(late_innovation[2]) +
+            late_gps_defect(late_innovation[3]))) + ((late_gps_defect(late_variances[0]) +
+            late_gps_defect(late_variances[1])) + late_gps_defect(late_variances[2]))) +
+            (((late_gps_defect(late_variances[3]) + late_gps_defect(late_variances[4])) +
+            (late_gps_defect(late_variances[5]) + late_gps_defect(late_variances[6]))) +
+            ((late_gps_defect(late_variances[7]) + late_gps_defect(late_variances[8])) +
+            late_gps_defect(late_variances[9])))))
+        {
+            return LATE_GPS_RESULT_NOT_FINITE;
+        }
+        late_gps_copy(late_innovation, next->innovation, 4);
+        late_gps_copy(late_variances, next->innovation_covariance, 10);
+    }
     return LATE_GPS_OK;
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-static late_gps_status_t late_gps_propagate(const late_gps_t *self, const late_gps_params_t *params,
-    late_gps_t *next)
+LATE_GPS_INLINE late_gps_status_t late_gps_propagate(const late_gps_t *self,
+    const late_gps_params_t *params, late_gps_t *next)
 {
     double Q[8];
     const double t0 = params->dt * params->dt;
@@ -1400,6 +1377,8 @@ late_gps_status_t late_gps_start(late_gps_t *self, const double x[4], const doub
     next.nothing_counted = 0.0;
     next.predicted_samples_before = 0.0;
     next.samples_before = 0.0;
+    next.past_place = 0.0;
+    late_gps_fill(next.past_written, 9, late_gps_zero_0, 1);
     late_gps_fill(next.past_state, 36, x, 4);
     late_gps_fill(next.past_covariance, 90, P, 10);
     late_gps_fill(next.past_rows, 36, late_gps_zero_0, 1);
@@ -1478,6 +1457,8 @@ late_gps_status_t late_gps_check(const late_gps_t *self)
     sound = sound && late_gps_between(&self->nothing_counted, 1, -DBL_MAX, DBL_MAX);
     sound = sound && late_gps_between(&self->predicted_samples_before, 1, -DBL_MAX, DBL_MAX);
     sound = sound && late_gps_between(&self->samples_before, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(&self->past_place, 1, -DBL_MAX, DBL_MAX);
+    sound = sound && late_gps_between(self->past_written, 9, -DBL_MAX, DBL_MAX);
     sound = sound && late_gps_between(self->past_state, 36, -DBL_MAX, DBL_MAX);
     sound = sound && late_gps_between(self->past_covariance, 90, -DBL_MAX, DBL_MAX);
     sound = sound && late_gps_variances(self->past_covariance, 90, 4);
@@ -1497,6 +1478,25 @@ static void late_gps_keep(const double *from, double *to, int size)
     for (i = 0; i < size; ++i)
     {
         to[i] = from[i];
+    }
+}
+
+/* Keep what a sample wrote of the past: some places of it. */
+LATE_GPS_INLINE void late_gps_remember(const late_gps_t *next, late_gps_t *self)
+{
+    int slot;
+    for (slot = 0; slot < 9; ++slot)
+    {
+        if (next->past_written[slot] > 0.0)
+        {
+            memcpy(&self->past_state[4 * slot], &next->past_state[4 * slot], 4 * sizeof(double));
+            memcpy(&self->past_covariance[10 * slot], &next->past_covariance[10 * slot],
+                10 * sizeof(double));
+            memcpy(&self->past_rows[4 * slot], &next->past_rows[4 * slot], 4 * sizeof(double));
+            memcpy(&self->past_delay[4 * slot], &next->past_delay[4 * slot], 4 * sizeof(double));
+            memcpy(&self->past_parameters[1 * slot], &next->past_parameters[1 * slot],
+                1 * sizeof(double));
+        }
     }
 }
 
@@ -1556,11 +1556,8 @@ late_gps_status_t late_gps_predict(late_gps_t *self, const late_gps_params_t *pa
     self->predicted_samples_before = next.predicted_samples_before;
     if (latest == &next)
     {
-        late_gps_keep(next.past_state, self->past_state, 36);
-        late_gps_keep(next.past_covariance, self->past_covariance, 90);
-        late_gps_keep(next.past_rows, self->past_rows, 36);
-        late_gps_keep(next.past_delay, self->past_delay, 36);
-        late_gps_keep(next.past_parameters, self->past_parameters, 9);
+        self->past_place = next.past_place;
+        late_gps_remember(&next, self);
     }
     self->updated = 0.0;
     return LATE_GPS_OK;
@@ -1583,7 +1580,10 @@ late_gps_status_t late_gps_step(late_gps_t *self, const late_gps_params_t *param
     next.updated = 0.0;
     next.model = self->model;
     next.unused = 0u;
-    *self = next;
+    late_gps_remember(&next, self);
+    memcpy(self, &next, offsetof(late_gps_t, past_state));
+    self->updated = 0.0;
+
     return ((present) != 0u) ? ((self->nothing_counted > 0.5) ? LATE_GPS_SKIPPED : LATE_GPS_OK)
         : LATE_GPS_SKIPPED;
 }

@@ -5,7 +5,7 @@
  * Equations: Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5.
  * Covariance update: short form.
  * Form of the code: loops over rows of y, straight lines elsewhere.
- * Late rows of y: predictions and rows of the last 8 samples are kept, 207 numbers of the instance.
+ * Late rows of y: predictions and rows of the last 8 samples are kept, 217 numbers of the instance.
  *
  * Time: the instance holds one latest estimate. late_gps_update() corrects it with y[k],
  * late_gps_predict() moves it to k + 1, late_gps_step() does both. Sample 0 corrects the prior; no
@@ -45,10 +45,11 @@
  *   y[2]  gps_v_east, m/s
  *   y[3]  gps_v_north, m/s
  *
- * Cost of one step with every row present: 34122 floating-point operations and 4 floor and 5 log.
- * An instance is 259 doubles and 1 of uint32_t, 2080 bytes; nothing else is kept. Tables of
+ * Cost of one step with every row present: 377 floating-point operations and 4 floor and 1 log;
+ * with late rows at most 138354 more.
+ * An instance is 269 doubles and 1 of uint32_t, 2160 bytes; nothing else is kept. Tables of
  * constants: 128 bytes. No heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 13040 bytes at -O0, 4736 at -Os.
+ * Stack of one call, interrupts left out: at most 13552 bytes at -O0, 5056 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -151,18 +152,20 @@ typedef struct
     double predicted_samples_before; /**< samples before this one, as many as a row can be late at
                                           most */
     double samples_before; /**< samples before this one, as many as a row can be late at most */
-    double past_state[36]; /**< predictions of this sample and the last ones, the latest first,
-                                given the rows before each, late ones too (9 x 4),
+    double past_place; /**< place of the next sample among those that are kept */
+    double past_written[9]; /**< 1 for each place that this sample wrote, else 0 */
+    double past_state[36]; /**< predictions of this sample and the last ones, which take 9 places in
+                                turn, given the rows before each, late ones too (9 x 4),
                                 [m, m, m/s, m/s] */
-    double past_covariance[90]; /**< their covariances of this sample and the last ones, the latest
-                                     first, given the rows before each, late ones too
+    double past_covariance[90]; /**< their covariances of this sample and the last ones, which take
+                                     9 places in turn, given the rows before each, late ones too
                                      (9 x symmetric 4 x 4), [m, m, m/s, m/s] squared */
-    double past_rows[36]; /**< rows of y of this sample and the last ones, the latest first, 0 where
-                               missing (9 x 4) */
-    double past_delay[36]; /**< how late rows were of this sample and the last ones, the latest
-                                first; -1 where they did not count (9 x 4) */
-    double past_parameters[9]; /**< parameters of this sample and the last ones, the latest first
-                                    (9 x 1) */
+    double past_rows[36]; /**< rows of y of this sample and the last ones, which take 9 places in
+                               turn, 0 where missing (9 x 4) */
+    double past_delay[36]; /**< how late rows were of this sample and the last ones, which take 9
+                                places in turn; -1 where they did not count (9 x 4) */
+    double past_parameters[9]; /**< parameters of this sample and the last ones, which take 9 places
+                                    in turn (9 x 1) */
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
     uint32_t model; /**< LATE_GPS_MODEL_HASH, set by a start */
     uint32_t unused; /**< 0: no byte of an instance is left to chance */

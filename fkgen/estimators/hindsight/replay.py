@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import casadi as ca
 
@@ -25,13 +26,15 @@ from fkgen.symbolic.index import At, Whole, variable
 from fkgen.symbolic.interface import Kind, Port, Status, triangle
 from fkgen.symbolic.linalg import by_rows, column, from_rows, outer_lower, unpack
 from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.ports import PARAMETER, carried
+from fkgen.symbolic.ports import PARAMETER, carried, shown
 
-#: Of this sample and the last ones, the latest first: predictions, rows of y, how late they were
-#: (-1: missing), inputs and parameters.
+#: Of this sample and the last ones, each in the place of one that is forgotten: predictions, rows
+#: of y, how late they were (-1: missing), inputs and parameters.
 STATE, COVARIANCE, ROWS, LATE, INPUTS, PARAMETERS = (
     f"past_{name}" for name in ("state", "covariance", "rows", "delay", "inputs", "parameters")
 )
+#: The place of the next sample, and 1 for each place that this one wrote.
+PLACE, WRITTEN = "past_place", "past_written"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,13 @@ class Replay:
         return bool(self.plant.D.nnz())
 
     @property
+    def beside(self) -> dict[str, int]:
+        """What is kept beside predictions, and how many numbers of each sample."""
+        nu, names = self.plant.nu * self.driven, self.parameters
+        sizes = {ROWS: self.plant.ny, LATE: self.plant.ny, INPUTS: nu, PARAMETERS: len(names)}
+        return {name: size for name, size in sizes.items() if size}
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What the header says."""
         count = sum(port.size for port in self.ports())
@@ -66,26 +76,28 @@ class Replay:
         return (f"late rows of y: {what}, {count} numbers of the instance",)
 
     def ports(self) -> tuple[Port, ...]:
-        """What is kept."""
+        """What is kept; arrays of samples come last."""
         n, p, count = self.delays.n, self.plant.ny, self.samples
-        about = "of this sample and the last ones, the latest first"
+        about = f"of this sample and the last ones, which take {count} places in turn"
         known = f"{about}, given the rows before each, late ones too"
         late = f"how late rows were {about}; -1 where they did not count"
+        kept = partial(carried, inner=True, slots=WRITTEN)
         ports = (
-            carried(STATE, (count, n), f"predictions {known}", unit="x", inner=True, prior="x"),
-            carried(
+            carried(PLACE, (), "place of the next sample among those that are kept", inner=True),
+            shown(WRITTEN, (count,), "1 for each place that this sample wrote, else 0", inner=True),
+            kept(STATE, (count, n), f"predictions {known}", unit="x", prior="x"),
+            kept(
                 COVARIANCE,
                 (count, n, n),
                 f"their covariances {known}",
                 unit="xx",
                 symmetric=True,
-                inner=True,
                 prior="P",
             ),
-            carried(ROWS, (count, p), f"rows of y {about}, 0 where missing", inner=True),
-            carried(LATE, (count, p), late, inner=True, start=(-1.0,) * (count * p)),
-            carried(INPUTS, (count, self.plant.nu * self.driven), f"inputs {about}", inner=True),
-            carried(PARAMETERS, (count, len(self.parameters)), f"parameters {about}", inner=True),
+            kept(ROWS, (count, p), f"rows of y {about}, 0 where missing"),
+            kept(LATE, (count, p), late, start=(-1.0,) * (count * p)),
+            kept(INPUTS, (count, self.plant.nu * self.driven), f"inputs {about}"),
+            kept(PARAMETERS, (count, len(self.parameters)), f"parameters {about}"),
         )
         return tuple(port for port in ports if port.size)
 
@@ -96,7 +108,7 @@ class Replay:
 
         ``plant`` has the parameters of this sample.
         """
-        n, p, q = self.delays.n, plant.ny, plant.nu * self.driven
+        p = plant.ny
         when = {row: plant.parameters[name] for row, _, name in self.delays.rows}
         most = {row: most for row, most, _ in self.delays.rows}
         late = {row: builder.local(f"late_{row}", 1, initial=0.0) for row in when}
@@ -115,55 +127,79 @@ class Replay:
                     builder.assign({y: symbols["y"][row], age: ca.densify(delay)})
                     if row in when:
                         builder.assign({f"late_{row}": ca.SX(delay > HALF)})
-        entries = len(triangle(n))
-        own = {
-            STATE: (symbols["predicted_state"], n),
-            COVARIANCE: (symbols["predicted_covariance"], entries),
-            ROWS: (column([builder.symbol(f"row_{row}") for row in range(p)]), p),
-            LATE: (column([builder.symbol(f"age_{row}") for row in range(p)]), p),
-        }
-        if q:
-            own[INPUTS] = symbols["u"], q
-        if names := self.parameters:
-            now = column([symbols[PARAMETER + name] for name in names])
-            own[PARAMETERS] = now, len(names)
-        with builder.titled("the last samples"):
-            builder.assign(
-                {
-                    name: ca.vertcat(now, symbols[name][: (self.samples - 1) * size])
-                    for name, (now, size) in own.items()
-                }
-            )
+        with builder.titled("this sample in the place of the one that is forgotten"):
+            places = builder.table("places", [float(place) for place in range(self.samples)])
+            with builder.loop("slot", 0, self.samples) as slot:
+                here = _is(builder.at(places, slot), symbols[PLACE])
+                builder.assign({At(WRITTEN, slot): here})
+                with builder.if_positive(here - HALF):
+                    builder.assign(self._own(builder, plant, symbols, slot))
         return late
 
-    def corrected(self, builder: PhaseBuilder, plant: Plant, late: dict[int, ca.SX]) -> _Passage:
+    def _own(
+        self, builder: PhaseBuilder, plant: Plant, symbols: dict[str, ca.SX], slot: Whole
+    ) -> dict[At, ca.SX]:
+        """What is kept of this sample, at its place."""
+        own = {
+            STATE: symbols["predicted_state"],
+            COVARIANCE: symbols["predicted_covariance"],
+            ROWS: column([builder.symbol(f"row_{row}") for row in range(plant.ny)]),
+            LATE: column([builder.symbol(f"age_{row}") for row in range(plant.ny)]),
+        }
+        if self.driven:
+            own[INPUTS] = symbols["u"]
+        if names := self.parameters:
+            own[PARAMETERS] = column([symbols[PARAMETER + name] for name in names])
+        return {
+            At(name, values.numel() * slot + i): values[i]
+            for name, values in own.items()
+            for i in range(values.numel())
+        }
+
+    def corrected(
+        self,
+        builder: PhaseBuilder,
+        plant: Plant,
+        late: dict[int, ca.SX],
+        symbols: dict[str, ca.SX],
+    ) -> _Passage:
         """Go through the last samples with the rows that are late; predictions know them then."""
-        passage = _Passage(self, builder, plant, late)
-        with builder.titled("the last samples once more, for what is late"):
-            longest = ca.SX(0)
-            for row, _, name in self.delays.rows:
-                longest = ca.fmax(longest, plant.parameters[name] * late[row])
-            passage.longest = longest = builder.define("longest_delay", longest)
+        longest = ca.SX(0)
+        for row, _, name in self.delays.rows:
+            longest = ca.fmax(longest, plant.parameters[name] * late[row])
+        with builder.titled("what was predicted, and how late rows are at most"):
+            longest = builder.define("longest_delay", longest)
+            passage = _Passage(self, builder, plant, late, longest, symbols)
+        with (
+            builder.titled("what is late, where loops find it"),
+            _once(builder, longest - HALF, "once", rare=True),
+        ):
             passage.prepare()
-            count = self.samples
-            passage.ages = builder.table("ages", [float(age) for age in range(count)])
-            with (
-                builder.if_positive(longest - HALF),
-                builder.loop("past", 0, count - 1) as past,
-            ):
-                age = count - 1 - past
-                value = builder.define("replayed_age", builder.at(passage.ages, age))
-                with _once(builder, longest - value + HALF, "once"):
-                    passage.pass_over(age, value)
-            with _once(builder, longest - HALF, "once"):
-                passage.judge()
+        with (
+            builder.titled("the last samples once more, for what is late"),
+            _once(builder, longest - HALF, "once", rare=True),
+        ):
+            place, count = symbols[PLACE], self.samples
+            with builder.loop("turn", 0, 2) as turn, builder.loop("slot", 0, count) as slot:
+                before = place - builder.at("places", slot)  # samples, in the second turn
+                age = builder.define("age", before + count * (1 - builder.at("places", turn)))
+                with _once(builder, ca.fmin(longest - age, age) + HALF, "visited"):
+                    passage.visit(slot, age)
+        with (
+            builder.titled("what late rows tell, about what was known before this sample"),
+            _once(builder, longest - HALF, "once", rare=True),
+        ):
+            passage.judge()
+            passage.tell()
         return passage
 
 
 @contextmanager
-def _once(builder: PhaseBuilder, positive: ca.SX, index: str) -> Iterator[None]:
+def _once(
+    builder: PhaseBuilder, positive: ca.SX, index: str, *, rare: bool = False
+) -> Iterator[None]:
     """What is written inside runs if a value is positive, and may have conditions of its own."""
-    with builder.if_positive(positive), builder.loop(index, 0, 1):
+    with builder.if_positive(positive, rare=rare), builder.loop(index, 0, 1):
         yield
 
 
@@ -175,8 +211,8 @@ class _Passage:
     builder: PhaseBuilder
     plant: Plant
     late: dict[int, ca.SX]
-    longest: ca.SX = field(default_factory=lambda: ca.SX(0))
-    ages: str = "ages"  # The table of whole numbers
+    longest: ca.SX
+    symbols: dict[str, ca.SX]
     state: ca.SX = field(init=False)
     covariance: ca.SX = field(init=False)
     #: Of what late rows saw: mean, covariance with the state, packed covariance
@@ -187,14 +223,21 @@ class _Passage:
     log_likelihood: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
-        builder, n = self.builder, self.replay.delays.n
+        builder, n, p = self.builder, self.replay.delays.n, self.plant.ny
         entries = len(triangle(n))
-        self.state = builder.local("replayed_state", n, initial=0.0)
-        self.covariance = builder.local("replayed_covariance", entries, initial=0.0)
+        predicted = (self.symbols[f"predicted_{name}"] for name in ("state", "covariance"))
+        sizes = {"known_state": n, "known_covariance": entries}
+        for name, size in sizes.items():
+            builder.local(name, size)
+        builder.assign(dict(zip(sizes, predicted, strict=True)))
+        self.state = builder.local("old_x", n, initial=0.0)
+        self.covariance = builder.local("old_P", entries, initial=0.0)
         self.mean, self.cross, self.own = self._signals("signal")
         builder.local("signal_seen", max(len(self.rows), 2), initial=0.0)
         self.nis = builder.local("late_nis", 1, initial=0.0)
         self.log_likelihood = builder.local("late_log_likelihood", 1, initial=0.0)
+        builder.local("late_innovation", p, initial=0.0)
+        builder.local("late_variances", len(triangle(p)), initial=0.0)
 
     def prepare(self) -> None:
         """Put late rows where loops find them."""
@@ -207,8 +250,7 @@ class _Passage:
         }
         for name, values in rows.items():
             builder.local(name, max(m, 2), initial=0.0)
-            with builder.if_positive(self.longest - HALF):
-                builder.assign({name: _padded(column(values))})
+            builder.assign({name: _padded(column(values))})
 
     def _signals(self, name: str) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Variables for mean, covariance with the state and covariance of what late rows saw.
@@ -245,53 +287,69 @@ class _Passage:
         found: list[ca.SX] = ca.substitute(list(matrices), symbols, values)
         return found
 
-    def pass_over(self, age: Whole, value: ca.SX) -> None:
+    def visit(self, slot: Whole, age: ca.SX) -> None:
+        """Correct the prediction of a sample with what is late and older, and go to the next."""
+        builder = self.builder
+        now = HALF - age
+        with _once(builder, now, "own"):
+            state, covariance = (
+                self.symbols["predicted_state"],
+                self.symbols["predicted_covariance"],
+            )
+            builder.assign({"old_x": state, "old_P": covariance})
+        with _once(builder, -now, "past"):
+            self.copy_kept(slot)
+        with _once(builder, self.longest - age - HALF, "later"):
+            self.revise(slot, age)
+        with _once(builder, -now, "past"):
+            self.pass_over(slot, age)
+
+    def copy_kept(self, slot: Whole) -> None:
+        """Take up what is kept of a sample."""
+        n, entries = self.replay.delays.n, len(triangle(self.replay.delays.n))
+        self.copy(At("old_x", 0), At(STATE, n * slot), n)
+        self.copy(At("old_P", 0), At(COVARIANCE, entries * slot), entries)
+
+    def pass_over(self, slot: Whole, age: ca.SX) -> None:
         """From a past sample to the next one."""
         builder, replay, raw = self.builder, self.replay, self.replay.plant
-        A, C, D, d = self.sampled([raw.A, raw.C, raw.D, raw.d], age)
+        A, C, D, d = self.sampled([raw.A, raw.C, raw.D, raw.d], slot)
         if replay.driven:
-            d = D @ self.at(INPUTS, age, raw.nu) + d
+            d = D @ self.at(INPUTS, slot, raw.nu) + d
         A, C, d = builder.name_all("replayed", (A, C, d))
-        with _once(builder, value - self.longest + HALF, "first"):
-            self.load(age)
-        self.begin(C, d, value)
+        self.begin(C, d, age)
         names = [
             fill(builder, f"replayed_{of}", _entries(M)) for of, M in (("rows", C), ("offsets", d))
         ]
         p = raw.ny
-        with builder.loop("b", 1, age + 1) as b:
-            (noise,) = self.sampled([ca.diag(raw.R)], b)
-            names.append(fill(builder, "replayed_noise", _entries(noise)))
-            apart = builder.define("apart", value - builder.at(self.ages, b))
-            with builder.loop("row", 0, p) as row:
-                about = _is(builder.at(LATE, p * b + row), apart) - HALF
-                with _once(builder, about, "there"):
-                    c = self.row(names[0], row)
-                    seen = builder.at(ROWS, p * b + row) - builder.at(names[1], row)
-                    self.take(c, seen, builder.at(names[2], row))
+        with builder.loop("other", 0, replay.samples) as other:
+            ahead = self.symbols[PLACE] - builder.at("places", other)
+            came = builder.define("came_before", ahead + replay.samples * ca.SX(ahead < -HALF))
+            apart = builder.define("apart", age - came)
+            with _once(builder, ca.fmin(came - HALF, apart + HALF), "came"):
+                (noise,) = self.sampled([ca.diag(raw.R)], other)
+                names.append(fill(builder, "replayed_noise", _entries(noise)))
+                with builder.loop("row", 0, p) as row:
+                    about = _is(builder.at(LATE, p * other + row), apart) - HALF
+                    with _once(builder, about, "there"):
+                        c = self.row(names[0], row)
+                        seen = builder.at(ROWS, p * other + row) - builder.at(names[1], row)
+                        self.take(c, seen, builder.at(names[2], row))
         with builder.loop("q", 0, len(self.rows)) as q:
             along = builder.define("signal_row", self.row("signal_cross", q))
             self.put("signal_cross", q, A @ along)
-        self.revise(age - 1, value)
 
-    def load(self, age: Whole) -> None:
-        """Take up a prediction as it was before this sample."""
-        n = self.replay.delays.n
-        self.copy("replayed_state", At(STATE, n * age), n)
-        entries = len(triangle(n))
-        self.copy("replayed_covariance", At(COVARIANCE, entries * age), entries)
-
-    def copy(self, variable: str, kept: At, size: int, *, back: bool = False) -> None:
-        """A variable from where a sample is kept, or back to there."""
+    def copy(self, to: At, source: At, size: int) -> None:
+        """Some numbers from one array to another; a variable of one number is none."""
         builder = self.builder
         if size == 1:
-            here, there = builder.symbol(variable), builder.read(kept)
-            builder.assign({kept: here} if back else {variable: there})
+            one = [each.name if isinstance(each.index, int) else each for each in (to, source)]
+            value = builder.symbol(one[1]) if isinstance(one[1], str) else builder.read(source)
+            builder.assign({one[0]: value})
             return
         with builder.loop("i", 0, size) as i:
-            own, other = At(variable, i), At(kept.name, kept.index + i)
-            to, source = (other, own) if back else (own, other)
-            builder.assign({to: builder.read(source)})
+            value = builder.read(At(source.name, source.index + i))
+            builder.assign({At(to.name, to.index + i): value})
 
     def begin(self, C: ca.SX, d: ca.SX, value: ca.SX) -> None:
         """What late rows saw, at their sample."""
@@ -301,7 +359,7 @@ class _Passage:
         with builder.loop("q", 0, m) as q:
             about = builder.at("late_flag", q) * _is(builder.at("late_by", q), value) - HALF
             with _once(builder, about, "begun"):
-                c = builder.define("late_row", self.row(sensed, q))
+                c = builder.define("late_c", self.row(sensed, q))
                 mean = ca.dot(c, self.state) + builder.at(offsets, q)
                 seen = unpack(self.covariance, n) @ c
                 builder.assign({At("signal", q): mean})
@@ -315,17 +373,17 @@ class _Passage:
     def take(self, c: ca.SX, seen: ca.SX, variance: ca.SX) -> None:
         """Correct states, and what late rows saw, with a row of a past sample."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
-        c = builder.define("replayed_row", c)
-        cross = builder.define("replayed_cross", unpack(self.covariance, n) @ c)
+        c = builder.define("own_c", c)
+        cross = builder.define("old_Pc", unpack(self.covariance, n) @ c)
         pivot = builder.define("replayed_pivot", ca.dot(c, cross) + variance)
         builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-        inverse = builder.define("replayed_inverse", 1 / pivot)
+        inverse = builder.define("inverse", 1 / pivot)
         weight = (seen - ca.dot(c, self.state)) * inverse
-        weight = builder.define("replayed_weight", weight)
+        weight = builder.define("weight", weight)
         builder.assign(
             {
-                "replayed_state": self.state + cross * weight,
-                "replayed_covariance": self.covariance - outer_lower(cross * inverse, cross),
+                "old_x": self.state + cross * weight,
+                "old_P": self.covariance - outer_lower(cross * inverse, cross),
             }
         )
         with builder.loop("q", 0, m) as q:
@@ -349,36 +407,38 @@ class _Passage:
         n = self.replay.delays.n
         self.builder.assign({At(name, n * q + i): values[i] for i in range(n)})
 
-    def revise(self, age: Whole, value: ca.SX) -> None:
-        """Correct the prediction of the next sample with what is late and older."""
+    def revise(self, slot: Whole, age: ca.SX) -> None:
+        """Correct a prediction with what is late and older."""
         builder, n, m = self.builder, self.replay.delays.n, len(self.rows)
         entries = len(triangle(n))
-        self.load(age)
-        if not builder.has("revised_state"):
-            builder.local("revised_state", n, initial=0.0)
-            builder.local("revised_covariance", entries, initial=0.0)
-            self._signals("revised")
-        builder.assign({"revised_state": self.state, "revised_covariance": self.covariance})
+        builder.local("new_x", n, initial=0.0)
+        builder.local("new_P", entries, initial=0.0)
+        self._signals("revised")
+        builder.assign({"new_x": self.state, "new_P": self.covariance})
         self.set_out()
-        x, P = builder.symbol("revised_state"), builder.symbol("revised_covariance")
+        x, P = builder.symbol("new_x"), builder.symbol("new_P")
         with builder.loop("q", 0, m) as q:
-            older = builder.at("late_flag", q) * (builder.at("late_by", q) - value + HALF)
+            older = builder.at("late_flag", q) * (builder.at("late_by", q) - age - HALF)
             with _once(builder, older, "older"):
                 inverse, known, shared, _ = self.given_late(q)
                 weight = builder.define("late_weight", known * inverse)
-                cross = builder.define("late_cross", self.row("revised_cross", q))
+                cross = builder.define("late_Pc", self.row("revised_cross", q))
                 builder.assign(
                     {
-                        "revised_state": x + cross * weight,
-                        "revised_covariance": P - outer_lower(cross * inverse, cross),
+                        "new_x": x + cross * weight,
+                        "new_P": P - outer_lower(cross * inverse, cross),
                     }
                 )
                 with builder.loop("j", 0, m) as j:
                     share = builder.define("late_share", builder.at(shared, j) * inverse)
                     left = self.row("revised_cross", j) - share * cross
                     self.put("revised_cross", j, left)
-        self.copy("revised_state", At(STATE, n * age), n, back=True)
-        self.copy("revised_covariance", At(COVARIANCE, entries * age), entries, back=True)
+        builder.assign({"known_state": x, "known_covariance": P, At(WRITTEN, slot): ca.SX(1)})
+        self.copy(At(STATE, n * slot), At("new_x", 0), n)
+        self.copy(At(COVARIANCE, entries * slot), At("new_P", 0), entries)
+        with _once(builder, age - HALF, "kept"):
+            for name, size in self.replay.beside.items():
+                self.copy(At(name, size * slot), At(name, size * slot), size)
 
     def set_out(self) -> None:
         """Late rows before any of them is taken in."""
@@ -424,9 +484,7 @@ class _Passage:
 
     def prior(self) -> tuple[ca.SX, ca.SX]:
         """The prediction of this sample that knows what is late."""
-        n = self.replay.delays.n
-        state, covariance = self.builder.symbol(STATE), self.builder.symbol(COVARIANCE)
-        return state[:n], covariance[: len(triangle(n))]
+        return self.builder.symbol("known_state"), self.builder.symbol("known_covariance")
 
     def counts(self, row: int) -> ca.SX | None:
         """What is positive where a row that is there is one of this sample."""
@@ -438,41 +496,44 @@ class _Passage:
         """What is positive where a row counts, late or not."""
         return self.builder.symbol(f"age_{row}") + HALF
 
-    def results(self, found: Conditioned, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
-        """Innovations, and how well they fit, of late rows with the others.
+    def tell(self) -> None:
+        """Innovations of late rows with the others, about what was known before this sample."""
+        builder, plant = self.builder, self.plant
+        seen = plant.C @ self.symbols["predicted_state"] + plant.D @ self.symbols["u"] + plant.d
+        for row in range(plant.ny):
+            with builder.if_present(row, self.counts(row)):
+                self._put(row, self.symbols["y"][row] - seen[row])
+            if row in self.late:
+                with builder.if_positive(self.late[row] - HALF):
+                    q = self.rows.index(row)
+                    self._put(row, builder.symbol(f"row_{row}") - self.mean[q])
+        prior = self.symbols["predicted_covariance"]
+        builder.assign({"late_variances": self._covariance(prior)})
 
-        They are about what was known before this sample.
-        """
-        builder, plant, p = self.builder, self.plant, self.plant.ny
-        own = {"all_innovations": found.innovation, "all_variances": found.innovation_covariance}
-        for name, value in own.items():
-            builder.local(name, value.numel(), initial=0.0)
-        builder.assign(own)
-        with (
-            builder.titled("innovations about what was known before this sample"),
-            _once(builder, self.longest - HALF, "once"),
-        ):
-            moved = self.prior()[0] - symbols["predicted_state"]
-            for row in range(p):
-                known = found.innovation[row] + ca.mtimes(plant.C[row, :], moved)
-                with builder.if_present(row, self.counts(row)):
-                    self._put(row, known)
-                if row in self.late:
-                    with builder.if_positive(self.late[row] - HALF):
-                        q = self.rows.index(row)
-                        self._put(row, builder.symbol(f"row_{row}") - self.mean[q])
-            builder.assign({"all_variances": self._covariance(symbols["predicted_covariance"])})
+    def results(self, found: Conditioned) -> dict[str, ca.SX]:
+        """How well late rows fit with the others, and the place of the next sample."""
+        place = self.symbols[PLACE]
         return {
-            "innovation": builder.symbol("all_innovations"),
-            "innovation_covariance": builder.symbol("all_variances"),
             "nis": found.nis + self.nis,
             "log_likelihood": found.log_likelihood + self.log_likelihood,
+            PLACE: ca.SX(place < self.replay.samples - 1 - HALF) * (place + 1),
         }
+
+    def replace(self) -> None:
+        """Where a row is late, innovations are those about what was known before this sample."""
+        builder = self.builder
+        with builder.if_positive(self.longest - HALF):
+            builder.assign(
+                {
+                    "innovation": builder.symbol("late_innovation"),
+                    "innovation_covariance": builder.symbol("late_variances"),
+                }
+            )
 
     def _put(self, row: int, innovation: ca.SX) -> None:
         """The innovation of one row."""
         many = self.plant.ny > 1
-        self.builder.assign({At("all_innovations", row) if many else "all_innovations": innovation})
+        self.builder.assign({At("late_innovation", row) if many else "late_innovation": innovation})
 
     def _covariance(self, prior: ca.SX) -> ca.SX:
         """The covariance of innovations about what was known before this sample, packed."""

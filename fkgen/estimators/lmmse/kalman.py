@@ -164,7 +164,7 @@ def _ports(
     shared = (*noises, *innovation_ports(spec, given=past.delays.given), *past.ports(p))
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
-    return tuple(port for port in ports if port.size)
+    return tuple(sorted((port for port in ports if port.size), key=lambda port: bool(port.slots)))
 
 
 def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
@@ -255,7 +255,7 @@ def _update(
     if replay is None:
         plant, kept = delays.measured(builder, plant, symbols)
     else:
-        passage = replay.corrected(builder, plant, replay.kept(builder, plant, symbols))
+        passage = replay.corrected(builder, plant, replay.kept(builder, plant, symbols), symbols)
         prior, kept = passage.prior(), tuple(map(passage.counts, range(plant.ny)))
     found, posterior = correct(
         builder,
@@ -273,11 +273,13 @@ def _update(
     before = symbols["predicted_covariance"]
     past.lagged.corrected(builder, (plant, actuation), found, before)
     if passage is not None:
-        assign |= passage.results(found, symbols)
+        assign |= passage.results(found)
         kept = tuple(passage.counted(row) for row in range(plant.ny))
     with builder.titled("results of the update"):
         assign |= delays.counted(builder, kept)
         builder.assign({name: value for name, value in assign.items() if value.numel()})
+        if passage is not None:
+            passage.replace()
     return builder.phase()
 
 
