@@ -87,7 +87,7 @@ def selected(
     ports: tuple[Port, ...], phases: Mapping[str, ir.Phase], asked: Iterable[str]
 ) -> tuple[tuple[Port, ...], dict[str, ir.Phase]]:
     """The ports that stay if only some are asked for, and the phases without the others."""
-    partners = {port.name: {port.given, port.corrected} - {""} for port in ports}
+    partners = {port.name: {port.given, port.corrected, port.slots} - {""} for port in ports}
     kept = {ALWAYS, *asked, *(phase.unless for phase in phases.values() if phase.unless)}
     while True:
         kept = kept.union(*(partners.get(name, set()) for name in kept))
