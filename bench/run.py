@@ -23,6 +23,7 @@ from rivals.contenders import FLAGS  # noqa: E402
 from tables import (  # noqa: E402
     anchors,
     batches,
+    extended,
     files,
     growth,
     memory,
@@ -54,7 +55,10 @@ PARTS = {
     "memory": memory.peak,
     "files": files.files,
     "sizes": sizes.generated,
+    "extended": extended.steps,
+    "extended-m4f": extended.sizes,
     "trials": trials.trials,
+    "fits": trials.fits,
 }
 
 

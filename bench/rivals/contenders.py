@@ -90,11 +90,15 @@ def program(contender: Contender, out: Path, cc: str = "gcc", level: str = "-O2"
 
 
 def of_fkgen(spec: models.Spec, folder: Path) -> Contender:
+    """What fkgen generates for a spec as a table."""
+    return of_spec(fkgen.Spec.from_dict(spec), folder)
+
+
+def of_spec(spec: fkgen.Spec, folder: Path) -> Contender:
     """What fkgen generates for a spec."""
-    source = fkgen.generate(fkgen.validate(fkgen.Spec.from_dict(spec)))
-    name = spec["name"]
+    source, name = fkgen.generate(fkgen.validate(spec)), spec.name
     source.write(folder / name)
-    _, p, q = models.width(spec)
+    p, q = spec.model.ny, spec.model.nu
     u = "u, " if q else ""
     header = f'#include "{name}.h"\n'
     if source.program.parameters:
@@ -107,8 +111,7 @@ def of_fkgen(spec: models.Spec, folder: Path) -> Contender:
         "#define RESULT(f) ((f)->filtered_state[0])\n"
     )
     defines = {"NY": p, "NU": q}
-    real = spec.get("code", {}).get("scalar", "double")
-    return Contender(folder / name / f"{name}.c", header, defines, real)
+    return Contender(folder / name / f"{name}.c", header, defines, spec.code.scalar)
 
 
 def of_hand(spec: models.Spec, folder: Path, *, checks: bool) -> Contender:

@@ -451,6 +451,7 @@ class CProgram:
     #: Inputs of one level, and y along the path that they lead from x0 on without any noise
     paths: tuple[tuple[float, tuple[tuple[float, ...], ...]], ...] = ()
     optimise: Either["speed", "size"] = "speed"
+    decoupled: bool = False  # As of `Code`
 
     @property
     def errors(self) -> tuple[Signal, ...]:
@@ -473,7 +474,9 @@ class CProgram:
         told |= {Status.NOT_A_ROTATION} if self.attitudes else set()
         ranged = any(each.range for each in (*self.states, *self.inputs))
         told |= {Status.INPUT_OUT_OF_RANGE} if ranged else set()
-        special = {*VERDICTS, Status.NOT_A_ROTATION, Status.INPUT_OUT_OF_RANGE}
+        told |= {Status.PRIOR_COUPLED} if self.decoupled else set()
+        special = {*VERDICTS, *(Status.NOT_A_ROTATION, Status.INPUT_OUT_OF_RANGE)}
+        special |= {Status.PRIOR_COUPLED}
         return tuple(status for status in Status if status not in special or status in told)
 
     @property

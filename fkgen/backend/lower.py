@@ -101,6 +101,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             shares_functions=spec.code.elementary == "shared",
             fma=spec.code.fma,
             optimise=spec.code.optimise,
+            decoupled=spec.code.decoupled,
             stated=stated(spec, phases),
             paths=_paths(spec),
             **lowered,

@@ -156,6 +156,7 @@ class Family:
                 )
             )
         _check_hindsight(spec)
+        _check_decoupled(spec)
         self.check(spec)
 
 
@@ -182,6 +183,22 @@ def _check_hindsight(spec: Spec) -> None:
         raise at.error("a row that may be late, of a plant with an attitude", "states without SO3")
     if spec.filter.option("gate_by", None) == "sample":
         raise at.error("a row that may be late, with gate_by = 'sample'", "gate_by = 'row'")
+
+
+def _check_decoupled(spec: Spec) -> None:
+    """Refuse to leave covariances out where there is not one covariance, of x alone."""
+    if not spec.code.decoupled:
+        return
+    at, lag = Place(spec.file, "code").entry("decoupled"), spec.filter.option("lag", None)
+    if not spec.filter.traits.hindsight:
+        raise at.error(
+            f"true, for the family {spec.filter.family}",
+            "one of kf, ekf, mkf, genie, its gain not stationary",
+        )
+    if lag is not None or any(signal.max_delay for signal in spec.model.outputs):
+        raise at.error("true, beside filter.lag or rows that may be late", "one of the two")
+    if spec.code.form == "loops":
+        raise at.error('true, beside code.form = "loops"', 'form = "auto" or "straight"')
 
 
 def demand_stationary(at: Place, *system: NDArray[np.float64]) -> None:

@@ -28,6 +28,9 @@ class Code:
     elementary: Copies = "static"
     #: Whether products are rounded together with the sum they go into, by fma() of C
     fma: bool = False
+    #: Whether covariances between parts of the state that nothing couples are left out, and priors
+    #: refused that have some
+    decoupled: bool = False
     #: Straight lines, loops over whole matrices, or "auto": whichever is better at each place
     form: CodeForm = "auto"
     optimise: Optimise = (
@@ -41,6 +44,7 @@ class Code:
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
         table |= {} if self.elementary == "static" else {"elementary": self.elementary}
         table |= {"fma": True} if self.fma else {}
+        table |= {"decoupled": True} if self.decoupled else {}
         table |= {} if self.optimise == "speed" else {"optimise": self.optimise}
         table |= {} if self.form == "auto" else {"form": self.form}
         return table if self.ports is None else table | {"ports": list(self.ports)}
@@ -52,13 +56,14 @@ class Code:
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    known = ("scalar", "update", "elementary", "form", "optimise", "fma", "ports")
+    known = "scalar", "update", "elementary", "form", "optimise", "fma", "decoupled", "ports"
     section = Section(table, place, known=known)
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
         update=section.choice("update", get_args(Update), "auto"),
         elementary=section.choice("elementary", get_args(Copies), "static"),
         fma=section.flag("fma", default=False),
+        decoupled=section.flag("decoupled", default=False),
         form=section.choice("form", get_args(CodeForm), "auto"),
         optimise=section.choice("optimise", get_args(Optimise), "speed"),
         ports=_read_ports(section) if "ports" in section else None,

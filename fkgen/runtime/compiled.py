@@ -195,7 +195,11 @@ class CompiledFilter:
         able = ", ".join(name for name in NAMES if family(name).traits.smooths)
         gain = " with a stationary gain" * family(spec.filter.family).traits.hindsight
         given = f"a filter of the family {spec.filter.family}{gain}"
-        raise DataError("smooth", given=given, expected=f"one of {able}, its gain not stationary")
+        expected = f"one of {able}, its gain not stationary"
+        if spec.filter.traits.windows == "full":
+            rows = "NaN for rows of windows that were rejected: docs/smooth.md"
+            expected = f"a filter of the family kf of its plant, and {rows}"
+        raise DataError("smooth", given=given, expected=expected)
 
     def pieces(self, keep: Sequence[str] | None = None) -> Pieces:
         """What filters a record piece by piece, as `run` the whole of it."""

@@ -48,6 +48,7 @@ class Status(Enum):
     NOT_A_ROTATION = -8, "a quaternion to start from is not of unit length, to within 1e-3"
     INPUT_OUT_OF_RANGE = -9, "u, or a mean to start from, lies outside of its range"
     INVALID_INSTANCE = -10, "not started, damaged, or an instance of another model"
+    PRIOR_COUPLED = -11, "a covariance to start from between states that code.decoupled keeps apart"
 
 
 #: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells

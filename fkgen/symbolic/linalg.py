@@ -30,6 +30,23 @@ def pack(matrix: ca.SX) -> ca.SX:
     return column([matrix[i, j] for i, j in triangle(matrix.shape[0])])
 
 
+def between(parts: Sequence[int], order: Sequence[int] | None = None) -> tuple[int, ...]:
+    """Where a packed covariance, or one with its rows in an order, has entries between parts."""
+    n = len(parts)
+    labels = [parts[i] for i in (range(n) if order is None else order) if i < n]
+    return tuple(at for at, (i, j) in enumerate(triangle(n)) if labels[i] != labels[j])
+
+
+def cleared(packed: ca.SX, places: Sequence[int], others: ca.SX | None = None) -> ca.SX:
+    """The same with 0, or with entries of another, in these places."""
+    if not places:
+        return packed
+    result = ca.SX(packed)
+    for at in places:
+        result[at] = 0 if others is None else others[at]
+    return result
+
+
 def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
     """Symmetric (n, n) matrices that are stacked, each packed."""
     return list(ca.vertsplit(packed, n * (n + 1) // 2))

@@ -62,6 +62,9 @@ class Plant:
     #: f and h in place of A, B, C, D, c and d, which are then their derivatives over symbols until
     #: the plant is linearised somewhere
     lifted: Lifted | None = None
+    #: The part of the state of each row of the covariance, where there are several and covariances
+    #: between them are 0
+    parts: tuple[int, ...] = ()
     moved: ca.SX | None = None  # moved, seen: (n, 1), (p, 1), f and h where it is linearised
     seen: ca.SX | None = None
     spread: ca.SX | None = None  # packed G Var(w) G' there, and G

@@ -290,6 +290,49 @@ def test_other_families_say_who_has_a_smoother():
         other.smooth(np.zeros((3, 2)), np.zeros((3, 1)))
 
 
+def test_what_a_host_took_over_is_smoothed_by_kf_as_its_joint_gaussian():
+    """The filter of a host at an end of a window, and kf's smoother of the rows that it kept."""
+    A, C = np.array([[1.0, 0.2], [-0.1, 0.9]]), np.array([[0.3, 1.0], [1.0, 0.0]])
+    Q, R, P0 = np.diag([0.1, 0.2]), np.diag([0.1, 0.5]), np.diag([1.0, 2.0])
+    model = {"A": A, "C": C, "Q": Q, "R": R, "x0": [0.0, 0.0], "P0": P0}
+    model = {key: np.asarray(value).tolist() for key, value in model.items()}
+    soft = {"soft": {"host": [0], "window": 4}}
+    table = {"name": "hind_host", "model": model, "faults": soft, "filter": {"family": "dfcf"}}
+    host = fkgen.build(fkgen.Spec.from_dict(table))
+    y = np.random.default_rng(2).standard_normal((13, 2))
+    y[5:9, 1] += 50.0
+    run = host.run(y)
+    assert run.fault_declared[4::4].tolist() == [0.0, 1.0, 0.0]
+    y[5:9, 1] = np.nan
+    law = np.zeros((26, 26))
+    P = P0
+    for k in range(13):
+        block = P
+        for j in range(k, 13):
+            law[2 * j : 2 * j + 2, 2 * k : 2 * k + 2] = block
+            law[2 * k : 2 * k + 2, 2 * j : 2 * j + 2] = block.T
+            block = A @ block
+        P = A @ P @ A.T + Q
+
+    def given(until):
+        seen = np.flatnonzero(np.isfinite(y[: until + 1]).ravel())
+        H = np.kron(np.eye(13), C)[seen]
+        G = law @ H.T @ np.linalg.inv(H @ law @ H.T + np.kron(np.eye(13), R)[np.ix_(seen, seen)])
+        return (G @ y.ravel()[seen]).reshape(13, 2), law - G @ H @ law
+
+    for end in (4, 8, 12):
+        state, covariance = given(end)
+        own = covariance[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
+        close((run.filtered_state[end], run.filtered_covariance[end]), (state[end], own))
+    with pytest.raises(fkgen.DataError, match="kf of its plant, and NaN for rows of windows"):
+        host.smooth(y)
+    kf = {"name": "hind_kept", "model": model, "filter": {"family": "kf"}}
+    smoothed = fkgen.build(fkgen.Spec.from_dict(kf)).smooth(y)
+    state, covariance = given(12)
+    own = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(13)]
+    close((smoothed.state, smoothed.covariance), (state, np.array(own)))
+
+
 def test_late_rows_are_smoothed_where_they_were_measured_or_not_at_all(alone, record, delays):
     y, u, params = record
     with pytest.raises(fkgen.DataError, match="delay_gps: given rows that come late; expected 0"):

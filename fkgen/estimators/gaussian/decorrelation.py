@@ -69,6 +69,9 @@ class Measurement:
     #: What is positive where a row counts as there, if not whenever it is; empty for no row
     kept: tuple[ca.SX | None, ...] = ()
 
+    #: Where the packed covariance of z, or its factors, are 0 by structure
+    apart: tuple[int, ...] = ()
+
     def counts(self, row: int) -> ca.SX | None:
         """What is positive where a row that is there counts, if that is not always so."""
         return self.kept[row] if self.kept else None

@@ -5,6 +5,7 @@ The Kalman filter is the case in which no input is random.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -32,6 +33,7 @@ from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.lifting.equations import shifted, turned_by
 from fkgen.symbolic.linalg import (
+    between,
     congruence,
     diagonal,
     is_zero,
@@ -84,7 +86,8 @@ def update_form(
     rows = measurement_of(
         plant, y=ca.SX(plant.ny, 1), C=plant.C, offset=ca.SX(plant.ny, 1), R=plant.R
     )
-    small = spec.code.form != "loops" and many * plant.ne**3 <= size**3
+    parts = Counter(plant.parts).values() or (plant.ne,)
+    small = spec.code.form != "loops" and many * sum(n**3 for n in parts) <= size**3
     small = small and not is_rolled(rows, with_gain=False)
     if stated == "ud" and not (factored and small):
         why = f"{many} x {plant.ne} states, {plant.ny} rows" if factored else spec.filter.family
@@ -138,7 +141,8 @@ def correct(
     ``kept`` is what is positive where rows count.
     """
     joint, measurement = _augmented(plant, actuation, prior, y)
-    measurement = replace(measurement, kept=kept)
+    order = joint[1].order if isinstance(joint[1], Factors) else None
+    measurement = replace(measurement, kept=kept, apart=between(plant.parts, order))
     found = condition(
         builder, joint, measurement, tag=tag, form=form, with_gain=with_gain, gate=gate
     )

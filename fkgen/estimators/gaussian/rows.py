@@ -13,7 +13,7 @@ from fkgen.estimators.gaussian.gate import Gate
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import Whole
 from fkgen.symbolic.interface import Kind, Status, triangle
-from fkgen.symbolic.linalg import column, diagonal, is_zero, outer_lower, total, unpack
+from fkgen.symbolic.linalg import cleared, column, diagonal, is_zero, outer_lower, total, unpack
 
 Form = Literal["short", "joseph", "ud"]
 
@@ -40,7 +40,8 @@ class SequentialUpdate:
     gain: ca.SX | None
     pivots_per_log: InitVar[int]
     gate: Gate | None = None
-    kept: tuple[ca.SX | None, ...] = ()  # As of a measurement
+    kept: tuple[ca.SX | None, ...] = ()  # kept, apart: as of a measurement
+    apart: tuple[int, ...] = ()
     mean: ca.SX = field(init=False)
     determinant: list[ca.SX] = field(init=False)
     nis: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -69,7 +70,7 @@ class SequentialUpdate:
         cross, variance = self.sensed(row, label)
         later = self.rows[i + 1 :] if self.variance is None else []
         products = [ca.mtimes(other.c.T, cross) for other in later]
-        coupling = builder.define(f"coupling{label}", column(products))
+        coupling = self.named(f"coupling{label}", column(products))
         pivot = builder.define(f"pivot{label}", variance)
         self.coupling.append(coupling)
         self.pivot.append(pivot)
@@ -95,13 +96,17 @@ class SequentialUpdate:
         with builder.if_present(row_of_y, significant, present=bool(self.at)):
             self.take(i, cross, innovation)
 
+    def named(self, name: str, value: ca.SX) -> ca.SX:
+        """A value that is computed once; entries between parts of the state stay 0."""
+        return (self.builder.name_entries if self.apart else self.builder.define)(name, value)
+
     def sensed(self, row: Row, label: str) -> tuple[ca.SX, ca.SX]:
         """P c, and the variance of the innovation of a row."""
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if row.shared is not None:
             cross = cross + row.shared
         if not all(each.is_leaf() for each in ca.vertsplit(cross)):
-            cross = self.builder.define(f"cross{label}", cross)
+            cross = self.named(f"cross{label}", cross)
         return cross, ca.mtimes(row.c.T, cross) + row.variance
 
     def _innovation(self, i: int) -> ca.SX:
@@ -135,7 +140,8 @@ class SequentialUpdate:
             new[f"determinant{tag}_{chunk}"] = self.determinant[chunk] * pivot
         if cross.nnz():  # else a row of noise alone, which says nothing about the state
             new[f"mean{tag}"] = self.mean + cross * weight
-            new[f"covariance{tag}"] = self.reduced(row, cross, k)
+            known, reduced = self.symbols[f"covariance{tag}"], self.reduced(row, cross, k)
+            new[f"covariance{tag}"] = cleared(reduced, self.apart, known)
         if self.gain is not None:
             gain = self.gain + ca.mtimes(k, row.of_y.T - ca.mtimes(row.c.T, self.gain))
             new[f"update_gain{tag}"] = ca.reshape(ca.densify(gain), -1, 1)
@@ -147,7 +153,8 @@ class SequentialUpdate:
         self.log_constant = symbol[f"log_constant{tag}"]
         self.determinant[chunk] = symbol.get(f"determinant{tag}_{chunk}", self.determinant[chunk])
         self.mean = symbol.get(f"mean{tag}", self.mean)
-        self.covariance = symbol.get(f"covariance{tag}", self.covariance)
+        after = symbol.get(f"covariance{tag}", self.covariance)
+        self.covariance = cleared(after, self.apart)
         if self.gain is not None:
             known = ca.reshape(symbol[f"update_gain{tag}"], *gain.shape)
             self.gain = ca.project(known, gain.sparsity())

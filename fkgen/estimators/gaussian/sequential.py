@@ -180,6 +180,7 @@ class _Rows:
             "pivots_per_log": measurement.pivots_per_log,
             "gate": gate,
             "kept": measurement.kept,
+            "apart": measurement.apart,
         }
         update: SequentialUpdate
         if isinstance(held := prior[1], Factors):
@@ -231,7 +232,8 @@ def _variance(
     p, S = C.shape[0], seen_through(C, covariance) + pack(R)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
-    if decided and measurement.shows_variance and by_factors <= operations(S):
+    few = bool(measurement.apart) or by_factors <= operations(S)
+    if decided and measurement.shows_variance and few:
         return None
     return builder.define(f"variance{tag}", S)
 

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
-from fkgen.symbolic.linalg import column, congruence, is_zero, operations, sparse, total, unpack
+from fkgen.symbolic.linalg import (
+    cleared,
+    column,
+    congruence,
+    is_zero,
+    operations,
+    sparse,
+    total,
+    unpack,
+)
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_symbols
 from fkgen.symbolic.recursion import Phase
@@ -61,8 +70,10 @@ class Factors:
         return column([self.scale[j] if i == j else self.unit[i, j] for j, i in pairs])
 
     def named(self, builder: PhaseBuilder, name: str) -> Factors:
-        """The same, computed once."""
-        return Factors.of(builder.define(name, self.packed), self.order, self.scalar)
+        """The same, computed once; what is 0 by structure stays so."""
+        zeros = [at for at, entry in enumerate(ca.vertsplit(self.packed)) if is_zero(entry)]
+        named = cleared(builder.define(name, self.packed), zeros)
+        return Factors.of(named, self.order, self.scalar)
 
     def covariance(self) -> ca.SX:
         """P, packed: sums of few roundings, so that every entry is right to a unit or two."""

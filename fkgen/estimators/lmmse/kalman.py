@@ -36,13 +36,14 @@ from fkgen.estimators.gaussian.ud import Factors, factors_note, order_of, starte
 from fkgen.estimators.hindsight.delays import FILTERED, PREDICTED, Delays
 from fkgen.estimators.hindsight.lagged import Lagged
 from fkgen.estimators.hindsight.replay import Replay
+from fkgen.estimators.lmmse.parts import in_parts, of_parts_only
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.lifting.linearise import moved_from, seen_from
-from fkgen.symbolic.linalg import by_rows, from_rows, sparse
+from fkgen.symbolic.linalg import between, by_rows, cleared, from_rows, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -99,6 +100,8 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
     past = Hindsight.of(spec, plant)
+    if spec.code.decoupled and not past.anything:
+        plant = in_parts(spec, plant, _sensed(spec, plant))
     size = actuation_of(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = _ports(spec, plant, size, past, with_gain=with_gain)
     beside = size + len(moved_by_noise(plant))
@@ -114,6 +117,9 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         begun = {"predicted_factors": 1} | ({} if beside else {"filtered_factors": 1})
         start = started(spec, symbols, begun, order)
         notes += factors_note(order, spec)
+    if plant.parts:
+        start = of_parts_only(spec, plant, symbols, start)
+        notes += (f"{len(set(plant.parts))} parts of the state without covariances between them",)
     return Recursion(
         spec=spec,
         source=source,
@@ -240,7 +246,9 @@ def _update(
     delays, replay, passage = past.delays, past.replay, None
     prior: Prior = delays.joint(symbols, PREDICTED)
     if how[1]:
-        prior = prior[0], Factors.of(symbols["predicted_factors"], how[1], plant.scalar)
+        prior = prior[0], _factors(plant, symbols["predicted_factors"], how[1])
+    elif isinstance(prior[1], ca.SX):
+        prior = prior[0], cleared(prior[1], between(plant.parts))
     demand_positive(builder, prior[1] if how[1] else symbols["predicted_covariance"])
     plant, actuation = _measured(builder, spec, plant, symbols)
     if replay is None:
@@ -294,9 +302,15 @@ def _filtered(
     return assign
 
 
+def _factors(plant: Plant, packed: ca.SX, order: tuple[int, ...]) -> Factors:
+    """Those of a covariance, 0 between parts of the state."""
+    return Factors.of(cleared(packed, between(plant.parts, order)), order, plant.scalar)
+
+
 def _posterior(plant: Plant, delays: Delays, symbols: dict[str, ca.SX]) -> Posterior:
     """What an update left known, of x and of what y told of beside it."""
-    posterior = Posterior(*delays.joint(symbols, FILTERED))
+    state, covariance = delays.joint(symbols, FILTERED)
+    posterior = Posterior(state, cleared(covariance, between(plant.parts)))
     deviation, own, cross = _deviation_ports(plant)
     if deviation not in symbols:
         return posterior
@@ -336,7 +350,7 @@ def prediction(
     assign = {}
     if order:
         order = (*order, *range(plant.ne, plant.ne + posterior.deviation.numel()))
-        held = Factors.of(symbols["filtered_factors"], order, plant.scalar)
+        held = _factors(plant, symbols["filtered_factors"], order)
         state, held, through = propagate_factors(plant, actuation, posterior, held)
         with builder.titled("factors of the next covariance"):
             held = held.named(builder, "next_factors")

@@ -44,7 +44,7 @@ class Work:
     trials, size : int
         Of the campaign, and of a block; the last one may be smaller.
     params : mapping of str to array
-        Parameters of the filter that the plant does not have.
+        Parameters of the filter, whose defaults are its own.
     """
 
     spec: Spec

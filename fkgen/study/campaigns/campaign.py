@@ -56,7 +56,7 @@ def montecarlo(
     trials, steps, seed : int
         M trials of T samples, those of ``simulate(truth or spec, trials, steps, seed)``.
     u, params
-        Inputs and run-time parameters, as for `simulate`.
+        As for `simulate`, for plant and filter; what is left out has its own default in each.
     truth : Spec, optional
         The plant, of the same sizes; default: that of ``spec``.
     workers : int, optional
@@ -112,10 +112,10 @@ def work_of(
     told = {name: value for name, value in given.items() if name in of_plant or name not in own}
     drawing = drawing_of(request, u, told)
     compiled = build(design)
-    others = [(e.name, e.default) for e in design.stated_parameters if e.name not in of_plant]
-    left = {name: given[name] for name, _ in others if name in given}
-    values = record.values_of(others, left, request.steps, np.float64)
-    more = dict(zip((name for name, _ in others), values, strict=True))
+    stated = [(each.name, each.default) for each in design.stated_parameters]
+    own_told = {name: given[name] for name, _ in stated if name in given}
+    values = record.values_of(stated, own_told, request.steps, np.float64)
+    of_filter = dict(zip((name for name, _ in stated), values, strict=True))
     soft, modes = design.faults.soft, modes_of(compiled, plant)
     tested = design.model.ny if soft is None else len(soft.host)
     return Work(
@@ -126,7 +126,7 @@ def work_of(
         modes=modes,
         trials=request.runs,
         size=block_size(design, request.steps),
-        params=more,
+        params=of_filter,
     )
 
 

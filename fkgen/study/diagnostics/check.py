@@ -7,13 +7,13 @@ y present.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from fkgen.backend.lower import lower
-from fkgen.errors import DataError, UnfitError
+from fkgen.errors import DataError, SpecError, UnfitError
 from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
@@ -87,6 +87,13 @@ def _cost(model: Subject) -> None:
     model.values |= {"flops_per_step": float(program.flops), "calls_per_step": float(calls)}
     if program.statements > LARGE:
         model.add("large_code", program.statements)
+    try:
+        apart = replace(model.spec, code=replace(model.spec.code, decoupled=True))
+        fewer = lower(family(apart.filter.family).build(apart)).flops
+    except SpecError:  # the state is coupled as a whole
+        return
+    if fewer < program.flops:
+        model.add("decoupled", fewer, whole=program.flops)
 
 
 def _functions(model: Subject, given: Mapping[str, Any]) -> None:

@@ -29,6 +29,9 @@ note stationary_sd: standard deviation of the filtered state at rest, {which}: {
 warning silent_output: {name} says nothing: its row of C is zero -> leave it out, or mend C
 warning idle_state: nothing drives {name}: its rows of A, B and Q are zero, so it is 0 after one
     step -> leave it out, or mend A
+note decoupled: the state falls into parts that nothing couples: without covariances between them
+    a step takes {value} operations in place of {whole} -> code.decoupled = true, unless priors are
+    to couple them
 note error_decay: {decays}
 note error_decay_unknown: the gains of {family} depend on the measurements or on the law of their
     faults: no condition on its products of gains is known; the figures are those of the Kalman

@@ -120,10 +120,13 @@ def renewed(spec: Spec, found: Fit) -> str:
 
 
 def _replace(table: Any, name: str, value: float) -> None:
-    """Put a number in the place of another; what stands behind it on the line stays."""
+    """Put a number in the place of another; a comment behind it stays in its column."""
     import tomlkit  # noqa: PLC0415 - this command alone needs it
 
-    item = tomlkit.item(value)
-    item.trivia.comment_ws = table[name].trivia.comment_ws
-    item.trivia.comment = table[name].trivia.comment
+    item, old = tomlkit.item(value), table[name]
+    space = old.trivia.comment_ws
+    if space and not space.strip(" "):
+        space = " " * max(1, len(old.as_string()) + len(space) - len(item.as_string()))
+    item.trivia.comment_ws = space
+    item.trivia.comment = old.trivia.comment
     table[name] = item

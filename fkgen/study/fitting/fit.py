@@ -22,6 +22,7 @@ from fkgen.study.fitting.domain import Axis, axes_of, covariances_hold, estimate
 from fkgen.study.fitting.likelihood import Likelihood, Records, Start, in_double, records_of
 from fkgen.study.fitting.profile import Curve, Profile
 from fkgen.study.fitting.search import Maximum, maximise
+from fkgen.study.records.summary import several
 from fkgen.study.reports.jsonable import json_text
 
 Array = NDArray[np.float64]
@@ -226,7 +227,7 @@ def _demand(likelihood: Likelihood, axes: Sequence[Axis]) -> None:
     rows, k = likelihood.rows, len(likelihood.names)
     if rows <= k:
         expected = f"more than {k}, as there are parameters to estimate"
-        raise DataError("y", given=f"{rows} finite rows", expected=expected)
+        raise DataError("y", given=several(rows, "finite row"), expected=expected)
     first = [axis.default for axis in axes]
     if why := likelihood.refusal(first):
         raise DataError("y", given=f"{why} ({_told(axes, first)})", expected="a finite likelihood")
@@ -304,9 +305,7 @@ def _fit_of(spec: Spec, maximum: Maximum) -> Fit:
     surface, point = maximum.surface, maximum.point
     names, k = surface.likelihood.names, len(surface.axes)
     if not point.finite:
-        where = _told(surface.axes, [axis.default for axis in surface.axes])
-        given = f"a likelihood that is not finite near {where}"
-        raise DataError("y", given=given, expected="defaults around which the filter runs")
+        raise _endless(maximum)
     blind = unidentified(maximum)
     inverse, covariance = _covariances(spec, maximum, blind)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -340,6 +339,16 @@ def _fit_of(spec: Spec, maximum: Maximum) -> Fit:
         maximum=maximum,
         inflation=np.where(np.isfinite(inflation), inflation, 1.0),
     )
+
+
+def _endless(maximum: Maximum) -> DataError:
+    """What is said where no search stays where the likelihood is finite."""
+    axes = maximum.surface.axes
+    lost = _told(axes, maximum.theta)
+    begun = _told(axes, [axis.default for axis in axes])
+    given = f"a likelihood that is not finite near {lost}, where the search from {begun} ended"
+    expected = "records that need some noise to be explained, or ranges that end before"
+    return DataError("y", given=given, expected=expected)
 
 
 def unidentified(maximum: Maximum) -> list[tuple[int, ...]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.runtime.record import whole
+from fkgen.study.fitting.domain import Axis
 from fkgen.study.fitting.search import NEAR, Maximum, Point
 
 Array = NDArray[np.float64]
@@ -145,14 +146,14 @@ class Curve:
         count = whole("points", points, least=3, expected="a whole number of at least 3")
         axis = self.maximum.surface.axes[self.j]
         estimate = float(self.maximum.theta[self.j])
-        low, high = _shown((axis.low, axis.high), estimate, around)
-        left = max(0, round((count - 1) * (estimate - low) / (high - low))) if low < estimate else 0
-        left = min(left, count - 2) if high > estimate else count - 1
-        left = max(left, 1) if low < estimate else left
-        below = np.linspace(low, estimate, left + 1)[:-1]
-        above = np.linspace(estimate, high, count - left)[1:]
+        bounds = (axis.low, axis.high)
+        left = (count - 1) * (estimate > axis.low) // (1 + (estimate < axis.high))
+        counts = left, count - 1 - left
+        below, above = (
+            _outwards(axis, estimate, each) for each in zip(bounds, around, counts, strict=True)
+        )
         found = {estimate: self.maximum.point.value}
-        for side in (below[::-1], above):
+        for side in (below, above):
             self._latest.clear()
             for value in side.tolist():
                 found[value] = self.at(value)
@@ -160,18 +161,22 @@ class Curve:
         return Profile(axis.name, values, np.array([found[value] for value in values.tolist()]))
 
 
-def _shown(
-    bounds: tuple[float, float], estimate: float, ends: tuple[float, float]
-) -> tuple[float, float]:
-    """An interval and some more, within the bounds."""
-    far = [abs(each - estimate) for each in ends if math.isfinite(each) and each != estimate]
-    reach = max(far, default=max(1.0, abs(estimate)))
-    found = []
-    for end, sign, bound in zip(ends, (-1.0, 1.0), bounds, strict=True):
-        distance = abs(end - estimate) if math.isfinite(end) else reach
-        wanted = estimate + sign * _BEYOND * distance
-        found.append(max(wanted, bound) if sign < 0.0 else min(wanted, bound))
-    return found[0], found[1]
+def _outwards(axis: Axis, estimate: float, side: tuple[float, float, int]) -> Array:
+    """So many values from the estimate to an end of its interval and beyond, within the bound.
+
+    They are equally far apart as the search sees them: a logarithm shows how steep it gets near 0.
+    """
+    bound, end, count = side
+    sign = math.copysign(1.0, bound - estimate)
+    steps = np.arange(1, count + 1) / max(count, 1)
+    known = math.isfinite(end) and end != estimate
+    if known and end not in axis.bounds and estimate not in axis.bounds:
+        z = axis.coordinate(estimate)
+        return axis.value(z + _BEYOND * steps * (axis.coordinate(end) - z))
+    distance = abs(end - estimate) if known else max(1.0, abs(estimate))
+    far = estimate + sign * _BEYOND * distance
+    far = max(far, bound) if sign < 0.0 else min(far, bound)
+    return np.asarray(estimate + steps * (far - estimate))
 
 
 def _value(of: Callable[[Array], Array], z: float) -> float:

@@ -286,12 +286,13 @@ def maximise(
     found = short.values(begins)
     best = [int(i) for i in np.argsort(-found) if i and np.isfinite(found[i])][:STARTS]
     surface = short if long else whole
-    ends = [each for i in (0, *best) if (each := surface.climb(begins[i])).finite]
+    climbed = [surface.climb(begins[i]) for i in (0, *best)]
+    ends = [each for each in climbed if each.finite]
     starts = np.array([begins[0], *(each.z for each in ends)])
     if long:
         ends = [whole.climb(starts[int(np.argmax(whole.values(starts)))])]
     if not ends:
-        return Maximum(whole, whole.point(begins[0], np.full(len(axes), STEP)))
+        return Maximum(whole, climbed[0])
     top = max(each.value for each in ends)  # the first is as good where nothing tells
     ends.sort(key=lambda each: max(top - each.value - _LOST, 0.0))
     others = tuple(_others(whole, ends)) if not long else ()

@@ -178,6 +178,21 @@ def test_inputs_and_parameters_reach_plant_and_filter():
     np.testing.assert_allclose(found.bias.value, bias, rtol=1e-10)
 
 
+def test_a_parameter_of_plant_and_filter_has_a_default_in_each():
+    """The filter is told the plant's only where the caller says so, which tells both."""
+    model = plants.random_model(2, 1, 1) | {"R": [["r"]]}
+    spec, truth = (plants.spec(model, parameters={"r": r}) for r in (0.7, 2.0))
+    for params in (None, {"r": 0.3}):
+        drawn = fkgen.simulate(truth, 20, 30, 1, params=params)
+        run = fkgen.build(spec).run_batch(drawn.y, params=params)
+        found = fkgen.montecarlo(spec, 20, 30, 1, truth=truth, params=params)
+        np.testing.assert_allclose(found.nis.value, run.nis.mean(), rtol=1e-12)
+        rmse = np.sqrt(((drawn.state - run.filtered_state) ** 2).mean(axis=(0, 1)))
+        np.testing.assert_allclose(found.rmse.value, rmse, rtol=1e-12)
+    swept = fkgen.sweep(spec, {"parameters.r": [2.0]}, 20, 30, 1).cells[0]
+    assert swept.to_json() == fkgen.montecarlo(spec, 20, 30, 1, truth=truth).to_json()
+
+
 def test_angles_count_by_the_shortest_way():
     states = [{"name": "a", "wrap": True}]
     model = {"A": [[1.0]], "C": [[1.0]], "Q": [[0.5]], "R": [[0.1]], "x0": [3.0], "P0": [[1.0]]}

@@ -149,6 +149,9 @@ def test_intervals_end_where_the_profile_has_fallen(nile):
         assert profile.values[profile.log_likelihood.argmax()] == fit.estimates[name]
         assert (np.diff(profile.values) > 0.0).all()
         assert len(profile.values) == 21
+        for end in (low, high):  # where straight lines between the values are, as they are drawn
+            drawn = np.interp(end, profile.values, profile.log_likelihood)
+            assert fit.log_likelihood - drawn == pytest.approx(0.5 * 3.841459, rel=0.03)
 
 
 def test_differences_in_lanes_are_the_derivatives_of_complex_steps(walk):
@@ -298,7 +301,11 @@ def test_what_cannot_be_identified_is_named(level):
         ({"estimate": "a", "params": {"a": 2.0}}, "params.a: given a value"),
         ({"estimate": "a", "params": {"z": 2.0}}, "params.z: given an unknown name"),
         ({"estimate": ("a", "r"), "y": [1.0, np.nan, 2.0]}, "2 finite rows; expected more than 2"),
+        ({"estimate": ("a", "r"), "y": [1.0]}, "1 finite row; expected more than 2"),
+        ({"estimate": ("a", "r"), "y": []}, "0 finite rows; expected more than 2"),
         ({"estimate": "a", "y": [1.0, np.inf, 2.0]}, "given inf"),
+        ({"estimate": ("a", "r"), "y": np.full(20, 3.0)}, "not finite near a = 0, r = 0, where"),
+        ({"estimate": "a", "y": np.full(20, 1e200)}, "sample 0: the result would not be finite (a"),
         ({"estimate": "a", "y": [[[1.0], [2.0]], [[1.0, 3.0]]]}, "record 1: y: given shape (1, 2)"),
         ({"estimate": "a", "start": 3.0}, "start: given a value of type float"),
         ({"estimate": "a", "start": {"P0": [[-1.0]]}}, "P0: given"),
@@ -310,6 +317,21 @@ def test_bad_input_is_one_line(options, words):
     given = {"y": np.zeros(20), **options}
     with pytest.raises(fkgen.UserError, match=r"^[^\n]*$") as caught:
         fkgen.fit(spec, **given)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"default": 1.0, "min": 2.0, "max": 1.0}, "a.min: given 2.0, above max = 1.0"),
+        ({"default": 5.0, "min": 0.0, "max": 1.0}, "a.default: given 5.0; expected a default in"),
+        ({"default": 1.0, "min": 1.0, "max": 1.0}, "'a', whose range is one number, 1"),
+        (-1.0, "model.Q: given the variance -1"),
+    ],
+)
+def test_a_range_that_holds_nothing_is_one_line(entry, words):
+    with pytest.raises(fkgen.UserError, match=r"^[^\n]*$") as caught:
+        fkgen.fit(changed(LEVEL, parameters__a=entry), np.zeros(20), estimate="a")
     assert words in str(caught.value)
 
 
@@ -373,6 +395,7 @@ def test_the_command_keeps_comments_and_writes_all_of_it_or_nothing(tmp_path, mo
     differing = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
     assert len(differing) == 2
     assert all(a.partition("#")[2] == b.partition("#")[2] for a, b in differing)
+    assert all(b.index("#") <= max(a.index("#"), len(b.split(" #")[0]) + 1) for a, b in differing)
     found = tomllib.loads("\n".join(after))["parameters"]
     as_json = CliRunner().invoke(main, [*told, "--json"])
     facts = json.loads(as_json.stdout)
