@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM_FILES = 12
-PACKAGE_LINES = 53_200
+PACKAGE_LINES = 53_300
 FUNCTION_LINES = 50
 DRAWERS = {"common", "helpers", "misc", "util", "utils"}
 
