@@ -16,7 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,6 +25,7 @@ from typing import Any
 import sympy
 
 from fkgen.oracle.theorems import compression, gaussian, linear_optimal, mkf
+from fkgen.oracle.theorems.general import GENERAL_IDENTITIES, GeneralIdentity
 from fkgen.oracle.theorems.identity import Identity
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,7 +47,8 @@ AXIOMS = {
     "FunctionalExtensionality.functional_extensionality_dep",
 }
 
-PRELUDE = """(* Printed by tools/proofs.py from what SymPy judges, fkgen/oracle/theorems. *)
+PRINTED = "(* Printed by tools/proofs.py from what SymPy judges, fkgen/oracle/theorems. *)"
+PRELUDE = f"""{PRINTED}
 Require Import Reals Field.
 Open Scope R_scope.
 
@@ -95,22 +97,85 @@ def theorem(identity: Identity) -> str:
     lines = [f"forall {' '.join([*symbols, *names.values()])} : R,"]
     lines += [f"{den} = {printed(base, names)} -> {den} <> 0 ->" for base, den in names.items()]
     equal = [f"{printed(left, names)} =\n    {printed(right, names)}" for left, right in entries]
-    name = re.sub(r"[^a-z0-9]+", "_", identity.claim.lower()).strip("_")
-    name = name if name[0].isalpha() else f"eq_{name}"
-    said = f"{identity.claim}.\n   {identity.source}".replace("*)", "* )")
+    name = named(identity)
     return (
-        f"\n(* {said} *)\nTheorem {name} :\n  "
+        f"\n{said(identity)}\nTheorem {name} :\n  "
         + "\n  ".join([*lines, " /\\\n  ".join(equal)])
         + f".\nProof. decide_equality. Qed.\nPrint Assumptions {name}.\n"
     )
 
 
+def named(identity: Identity) -> str:
+    """Its claim as one word."""
+    name = re.sub(r"[^a-z0-9]+", "_", identity.claim.lower()).strip("_")
+    return name if name[0].isalpha() else f"eq_{name}"
+
+
+def said(identity: Identity) -> str:
+    """Claim and source as a comment."""
+    text = f"{identity.claim}.\n   {identity.source}".replace("*)", "* )")
+    return f"(* {text} *)"
+
+
+def of_any_size(expression: Any) -> str:
+    """An expression in letters that do not commute, in the words of tools/matrices.v."""
+    match expression:
+        case sympy.Symbol():
+            name, _, turned = expression.name.partition("_")
+            return f"tr {name}" if turned else name
+        case sympy.Integer() if expression == 1:
+            return "one"
+        case sympy.Add():
+            return f"({' + '.join(map(of_any_size, expression.args))})"
+        case sympy.Mul(args=(sympy.Integer() as sign, *rest)) if sign == -1:
+            return f"- {of_any_size(sympy.Mul(*rest))}"
+        case sympy.Mul():
+            return f"({' * '.join(map(of_any_size, expression.args))})"
+    raise TypeError(f"{expression} has no form in Coq")
+
+
+def general_theorem(identity: GeneralIdentity) -> str:
+    """Statement and proof for all sizes."""
+    sizes = sorted(set("".join(identity.sizes.values())))
+    letters = [
+        f"({name} : Mat {rows} {columns})" for name, (rows, columns) in identity.sizes.items()
+    ]
+    given = [
+        f"{of_any_size(left)} = {of_any_size(right)} ->" for left, right in identity.hypotheses()
+    ]
+    symmetric = " ".join(f"tr {each} = {each} ->" for each in identity.symmetric)
+    sides = [
+        f"{of_any_size(left)} =\n    {of_any_size(right)}" for left, right in identity.entries()
+    ]
+    names = [f"G{i}" for i in range(len(given))]
+    steps = [f"rewrite ?mul_assoc in {name}; transposed {name} T{name}." for name in names]
+    used = "; ".join(f"use {name}; use T{name}" for name in names)
+    body = "\n  ".join(["forall " + " ".join([*sizes, *letters]) + ",", symmetric, *given])
+    return (
+        f"\n{said(identity)}\nTheorem {named(identity)} :\n  {body}\n  "
+        + " /\\\n  ".join(sides)
+        + f".\nProof.\n  intros {' '.join([*sizes, *identity.sizes])}"
+        + f" {' '.join('H' + each for each in identity.symmetric)} {' '.join(names)}.\n  "
+        + "\n  ".join(steps)
+        + f"\n  repeat split; equal; repeat (progress ({used}; expand)); collect.\nQed.\n"
+    )
+
+
+def general(identities: Iterable[GeneralIdentity] = GENERAL_IDENTITIES) -> str:
+    """Theorems for all sizes, and on what they stand once the section of laws is closed."""
+    laws = (ROOT / "tools" / "matrices.v").read_text(encoding="utf-8")
+    closed = [f"Print Assumptions {named(each)}.\n" for each in identities]
+    theorems = "".join(map(general_theorem, identities))
+    return f"{PRINTED}\n{laws}{theorems}\nEnd Matrices.\n{''.join(closed)}"
+
+
 def files() -> dict[str, str]:
     """What stands in proofs/."""
-    return {
+    small = {
         f"{name}.v": PRELUDE + "".join(map(theorem, identities))
         for name, identities in THEOREMS.items()
     }
+    return small | {"general.v": general()}
 
 
 #: What Gappa's certificate takes for granted of the script's last line, and its proof.

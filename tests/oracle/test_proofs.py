@@ -8,6 +8,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import fkgen
 from fkgen.families import NAMES, family
 from fkgen.oracle.theorems.compression import PARTIAL_IDENTITIES
 from fkgen.oracle.theorems.gaussian import MIXTURE_IDENTITIES
+from fkgen.oracle.theorems.general import GENERAL_IDENTITIES, letter
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = runpy.run_path(str(ROOT / "tools" / "proofs.py"))
@@ -103,6 +105,72 @@ def test_coq_accepts_what_holds_and_no_change_of_sign(identity, capsys):
     assert changed_sign(text) != text
     (problem,) = judge(changed_sign(text))
     assert "one.v: " in problem
+    assert "Error" in problem
+
+
+@pytest.mark.parametrize("identity", GENERAL_IDENTITIES, ids=lambda each: each.claim)
+def test_identities_for_any_size_hold_and_with_another_sign_do_not(identity):
+    assert identity.holds()
+    entries = identity.equations()
+    for i, (left, right) in enumerate(entries):
+        for wrong in (-right, right + letter("K") * letter("S")):
+            changed = (*entries[:i], (left, wrong), *entries[i + 1 :])
+            assert not replace(identity, equations=lambda changed=changed: changed).holds()
+
+
+def test_what_is_given_is_needed():
+    for identity in GENERAL_IDENTITIES:
+        assert not replace(identity, given=tuple).holds()
+
+
+@pytest.mark.parametrize("identity", GENERAL_IDENTITIES, ids=lambda each: each.claim)
+def test_identities_for_any_size_hold_of_matrices_of_numbers(identity):
+    """The statement itself, not its proof: gains by NumPy, sizes that all differ."""
+    draw, size = np.random.default_rng(3), {"n": 4, "p": 3, "q": 2, "m": 5, "r": 1}
+    value = {
+        name: draw.normal(size=[size[each] for each in sizes])
+        for name, sizes in identity.sizes.items()
+    }
+    for each in identity.symmetric:
+        value[each] = value[each] @ value[each].T + np.eye(len(value[each]))
+    P, C, D = value["P"], value["C"], value.get("D")
+    if "A" in value:
+        across = value["A"] @ P @ C.T + value["B"] @ value["N"] @ D.T
+        value["K"] = across @ np.linalg.inv(value["S"])
+    else:
+        value["K"] = P @ C.T @ np.linalg.inv(value["S"])
+    if "L" in value:
+        rest = (P - value["K"] @ value["S"] @ value["K"].T) @ D.T
+        value["L"] = rest @ np.linalg.inv(value["T"])
+    names = {f"{name}_t": matrix.T for name, matrix in value.items()} | value
+
+    def number(expression, rows):
+        if expression.is_Symbol:
+            return names[expression.name]
+        if expression.is_Integer:
+            return int(expression) * np.eye(rows)
+        parts = iter(expression.args)
+        found = number(next(parts), rows)
+        for part in parts:
+            other = number(part, found.shape[1] if expression.is_Mul else rows)
+            found = found @ other if expression.is_Mul else found + other
+        return found
+
+    for left, right in (*identity.entries(), *identity.hypotheses()):
+        rows = len(names[re.match(r"[-(+ 1*]*(\w+)", str(right))[1]])
+        # Products of at most nine matrices of size five and inverses of some with no
+        # eigenvalue below one: entries up to 1e4, hundreds of roundings of them.
+        np.testing.assert_allclose(number(left, rows), number(right, rows), rtol=1e-8, atol=1e-8)
+
+
+@needs_coq
+def test_coq_accepts_the_joseph_form_for_any_size_and_no_change_of_sign():
+    (joseph,) = (each for each in GENERAL_IDENTITIES if "Joseph" in each.claim)
+    assert [*TOOL["refused"]("general.v", TOOL["general"]([joseph]))] == []
+    text = TOOL["general"]([joseph])
+    wrong = text.replace("(P + - (K * S * tr K))", "(P + (K * S * tr K))")
+    assert wrong != text
+    (problem,) = TOOL["refused"]("general.v", wrong)
     assert "Error" in problem
 
 
