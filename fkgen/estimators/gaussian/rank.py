@@ -3,8 +3,8 @@
 D = P - P* is a difference of covariances: its entries carry rounding of the size of P. A direction
 therefore counts while its pivot exceeds `DIRECTION` of the variance of P there; that decision does
 not change with the units of the state. Where D is carried in factors, the elimination is that of
-Gram and Schmidt on rows of U, and nothing is lost to P. For d in the range of D every generalised inverse gives the
-same d' D^- d, so no eigenvalue is needed.
+Gram and Schmidt on rows of U, and nothing is lost to P. For d in the range of D every generalised
+inverse gives the same d' D^- d, so no eigenvalue is needed.
 """
 
 from __future__ import annotations
