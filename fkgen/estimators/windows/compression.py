@@ -64,8 +64,8 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
     count = len(_subsets(window.soft_faults(spec)))
     ports = *window.host_ports(spec), *_ports(spec, count), *window.window_ports(spec)
-    n = spec.model.ne
-    design = window.Design(spec, ports, _factor_ports(n, count), _removed_ports(n, count))
+    n, tested = spec.model.ne, len(window.soft_faults(spec).groups)
+    design = window.Design(spec, ports, _factor_ports(n, count), _removed_ports(n, tested))
     phases = _update(design), _closing(design), _predict(design)
     return design.recursion(source, phases)
 
@@ -125,7 +125,7 @@ def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.S
 
 
 def _removed(design: window.Design, prefix: str = "") -> list[Factors]:
-    """P - P* of every compression filter, where covariances are carried in factors."""
+    """P - P* of every filter that is tested, where covariances are carried in factors."""
     if not design.order:
         return []
     packed = split_packed(design.symbols[f"{prefix}removed_factors"], design.plant.nx)
@@ -166,7 +166,7 @@ def _update(design: window.Design) -> Phase:
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
         with builder.titled(f"filter with group {', '.join(map(str, subset))}"):
-            prior, gained = (d, unpacked(P, n)), bool(design.order)
+            prior, gained = (d, unpacked(P, n)), at < len(before)  # those of one group come first
             found = condition(builder, prior, part, tag=tag, form=design.form, with_gain=gained)
             deviations.append(builder.define(f"deviation{tag}", found.mean - correction))
             if found.gain is not None:
