@@ -172,8 +172,8 @@ def _update(design: window.Design) -> Phase:
             if found.gain is not None:
                 gains = None if host is None else host.gain, found.gain
                 both, taken = (before[at], P), _rows(design.soft, subset)
-                own = _removed_with(design, taken, both, part, gains)
-                removed.append(own.named(builder, f"removed{tag}"))
+                less = _removed_with(design, taken, both, part, gains)
+                removed.append(less.named(builder, f"removed{tag}"))
         conditioned.append(found)
     demand_finite(builder, ca.vertcat(filtered, *deviations))
     counted = window.collect(builder, symbols, design.soft)
