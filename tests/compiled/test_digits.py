@@ -121,10 +121,13 @@ def chain(ratio):
     }
 
 
-@pytest.mark.parametrize(("family", "ratio"), [("dfcf", 1e12), ("compression_full", 1e10)])
-def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio):
+@pytest.mark.parametrize(
+    ("family", "ratio", "host"),
+    [("dfcf", 1e12, [0]), ("compression_full", 1e10, [0]), ("compression_full", 1e10, [])],
+)
+def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio, host):
     model, y = drawn(chain(ratio), 2000, 0.2)
-    soft = {"host": [0], "window": 20, "false_alarm": 0.05}
+    soft = {"host": host, "window": 20, "false_alarm": 0.05}
     plant = spec(model, family, faults={"soft": soft}, filter={"test": False})
     run = built(plant).run(y)
     found = shortfall(run, windows(model, y, soft["host"], 20), np.array(model["C"]))
