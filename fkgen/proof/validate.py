@@ -74,8 +74,14 @@ def confront(tested: Family, recursion: Recursion) -> Validated:
     return Validated(recursion=recursion, claims=(_start_of(recursion), *claims))
 
 
+def _as_built(recursion: Recursion) -> Spec:
+    """The spec with the form of the update that "auto" has come to: it decides on ranks."""
+    spec, form = recursion.spec, recursion.form
+    return spec if form is None else replace(spec, code=replace(spec.code, update=form))
+
+
 def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None:
-    spec = recursion.spec
+    spec = _as_built(recursion)
     try:
         expected = form.expected(spec, record)
     except np.linalg.LinAlgError:  # rounding has left a singular matrix

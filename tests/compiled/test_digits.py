@@ -121,10 +121,13 @@ def chain(ratio):
     }
 
 
-@pytest.mark.parametrize(("family", "ratio"), [("dfcf", 1e12), ("compression_full", 1e10)])
-def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio):
+@pytest.mark.parametrize(
+    ("family", "ratio", "host"),
+    [("dfcf", 1e12, [0]), ("compression_full", 1e10, [0]), ("compression_full", 1e10, [])],
+)
+def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio, host):
     model, y = drawn(chain(ratio), 2000, 0.2)
-    soft = {"host": [0], "window": 20, "false_alarm": 0.05}
+    soft = {"host": host, "window": 20, "false_alarm": 0.05}
     plant = spec(model, family, faults={"soft": soft}, filter={"test": False})
     run = built(plant).run(y)
     found = shortfall(run, windows(model, y, soft["host"], 20), np.array(model["C"]))
@@ -177,6 +180,37 @@ def test_float_keeps_it_where_points_go_through_curves(bent, seen, kappa):
     assert found["refused"] == 0
     assert found["least"] > 0.0
     assert {key: found[key] for key in PROMISED if not found[key] < PROMISED[key]} == {}
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"groups": [[1], [2]]}, {"missing": 0.3}], ids=["one", "two groups", "missing"]
+)
+def test_float_tests_as_many_degrees_of_freedom_as_double(options):
+    """Speed seen at once, positions that wait: they tell of 1e-9 of the variance of the speed."""
+    F, groups = np.array([[2.0**-5], [0.25]]), options.get("groups", [[1]])
+    model = {
+        "A": [[1.0, 0.25], [0.0, 1.0]],
+        "C": [[0.0, 1.0], *([[1.0, 0.0]] * len(groups))],
+        "Q": 16.0 * F @ F.T,
+        "R": np.diag([0.01, *([100.0] * len(groups))]),
+        "x0": np.zeros(2),
+        "P0": np.diag([1.0, 0.01]),
+    }
+    model, y = drawn(model, 3000, options.get("missing", 0.0))
+    y[np.arange(len(y)) % 5 > 0, 1:] = np.nan
+    y[900:1200, 1] += 40.0
+    soft = {"host": [0], "groups": groups, "window": 150, "false_alarm": 0.05}
+    runs = {
+        scalar: built(spec(model, "dfcf", scalar=scalar, faults={"soft": soft})).run(y)
+        for scalar in ("double", "float")
+    }
+    for port in ("test_dof", "fault_declared", "status"):
+        np.testing.assert_array_equal(runs["float"][port], runs["double"][port])
+    assert (runs["float"].test_dof[150::150] == 2).mean() > 0.5  # 1 where samples are missing
+    assert 1 <= runs["float"].fault_declared.sum() < 10 * len(groups)
+    expected = runs["double"].test_statistic
+    # The direction of the speed has 3e-5 of its deviation: what d is there is right to 2e-3.
+    np.testing.assert_allclose(runs["float"].test_statistic, expected, rtol=1e-2, atol=1e-2)
 
 
 def test_ports_are_what_the_factors_hold():

@@ -6,6 +6,10 @@ covariance P*. Then the compressed measurement of the paper is Z = d with Hbar =
 (P*^-1 - P^-1)^-1, the update (25) copies (x + d, P*) into the host, and F^-1 and P^-1 never appear.
 While there is no compression filter, d = 0 and P* = P.
 
+In factors P - P* is carried as well, as the covariance of d: with the gains K and K* of both
+filters, and S* of the second, it becomes (1 - K C)(P - P*)(1 - K C)' + (K* - K) S* (K* - K)', and
+A (P - P*) A' at the next sample. Only gains are subtracted, so float has the rank of double.
+
 Each set of groups that the host may have to accept has a filter of its own: two compressed
 measurements share process noise, so no combination of them gives what the rows of both would have.
 """
@@ -33,13 +37,19 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
-from fkgen.estimators.gaussian.ud import Factors, packed_factors, unpacked
+from fkgen.estimators.gaussian.ud import (
+    Factors,
+    columns_of,
+    packed_factors,
+    seen_through,
+    unpacked,
+)
 from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port, triangle
-from fkgen.symbolic.linalg import column, congruence, diagonal, pack, split_packed, unpack
+from fkgen.symbolic.linalg import column, congruence, diagonal, pack, sparse, split_packed, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import carried, estimate_ports, factor_ports
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -54,7 +64,8 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
     count = len(_subsets(window.soft_faults(spec)))
     ports = *window.host_ports(spec), *_ports(spec, count), *window.window_ports(spec)
-    design = window.Design(spec, ports, _factor_ports(spec.model.ne, count))
+    n, tested = spec.model.ne, len(window.soft_faults(spec).groups)
+    design = window.Design(spec, ports, _factor_ports(n, count), _removed_ports(n, tested))
     phases = _update(design), _closing(design), _predict(design)
     return design.recursion(source, phases)
 
@@ -84,6 +95,15 @@ def _factor_ports(n: int, count: int) -> tuple[Port, ...]:
     return (*factor_ports(n), *beside)
 
 
+def _removed_ports(n: int, count: int) -> tuple[Port, ...]:
+    """Factors of P - P*, where covariances are carried so."""
+    shape, meaning = (count, len(triangle(n))), "factors of what compressed rows remove of P at"
+    return tuple(
+        carried(f"{prefix}removed_factors", shape, f"{meaning} {when}")
+        for when, prefix in (("k", ""), ("k+1", "predicted_"))
+    )
+
+
 def _subsets(soft: SoftFaults) -> list[Groups]:
     """The groups that each compression filter takes."""
     groups = range(len(soft.groups))
@@ -104,24 +124,56 @@ def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.S
     return list(zip(_subsets(design.soft), deviation, map(design.held, held), strict=True))
 
 
+def _removed(design: window.Design, prefix: str = "") -> list[Factors]:
+    """P - P* of every filter that is tested, where covariances are carried in factors."""
+    if not design.order:
+        return []
+    packed = split_packed(design.symbols[f"{prefix}removed_factors"], design.plant.nx)
+    return [Factors.of(each, design.order, design.plant.scalar) for each in packed]
+
+
+def _removed_with(
+    design: window.Design,
+    rows: tuple[int, ...],
+    before: tuple[Factors, Held],
+    part: Measurement,
+    gains: tuple[ca.SX | None, ca.SX],
+) -> Factors:
+    """P - P* after an update of both filters with their gains, that of the host for its rows."""
+    removed, held = before
+    own, whole = ca.SX(design.plant.nx, len(rows)), gains[1]
+    if gains[0] is not None:
+        own[:, [rows.index(row) for row in design.soft.host]] = gains[0]
+    S = unpack(seen_through(part.C, unpacked(held, design.plant.nx)) + pack(part.R), len(rows))
+    columns, weights = columns_of(S, design.plant.scalar)
+    through = sparse(ca.SX.eye(design.plant.nx) - own @ part.C)
+    return removed.moved(through, sparse((whole - own) @ columns), weights)
+
+
 def _update(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
     state, own = symbols["predicted_state"], design.host("predicted")
-    priors = _filters(design, "predicted_")
+    priors, before = _filters(design, "predicted_"), _removed(design, "predicted_")
     for held in (own, *(P for _, _, P in priors)):
         demand_positive(builder, held)
     plant, whole, innovation = window.observed(builder, design)
     host = _host(design, builder, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
     filtered = builder.define("host_state", state + correction)
-    deviations, conditioned = [], []
+    deviations, conditioned, removed = [], [], []
     for at, (subset, d, P) in enumerate(priors):
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
         with builder.titled(f"filter with group {', '.join(map(str, subset))}"):
-            found = condition(builder, (d, unpacked(P, n)), part, tag=tag, form=design.form)
+            prior, gained = (d, unpacked(P, n)), at < len(before)  # those of one group come first
+            found = condition(builder, prior, part, tag=tag, form=design.form, with_gain=gained)
             deviations.append(builder.define(f"deviation{tag}", found.mean - correction))
+            if found.gain is not None:
+                gains = None if host is None else host.gain, found.gain
+                both, taken = (before[at], P), _rows(design.soft, subset)
+                less = _removed_with(design, taken, both, part, gains)
+                removed.append(less.named(builder, f"removed{tag}"))
         conditioned.append(found)
     demand_finite(builder, ca.vertcat(filtered, *deviations))
     counted = window.collect(builder, symbols, design.soft)
@@ -137,6 +189,7 @@ def _update(design: window.Design) -> Phase:
                 **_factors(
                     ("filtered_", own if host is None else host.factors),
                     ("compression_", *(each.factors for each in conditioned)),
+                    ("removed_", *removed),
                 ),
                 **window.innovation_of_host(design, plant, innovation, host),
                 **counted,
@@ -154,7 +207,15 @@ def _host(
         return None
     prior = (ca.SX.zeros(n), unpacked(design.host("predicted"), n))
     part, known = _part(whole, innovation, rows, "host"), [innovation[i] for i in rows]
-    return condition(builder, prior, part, tag="_host", form=design.form, innovation=known)
+    return condition(
+        builder,
+        prior,
+        part,
+        tag="_host",
+        form=design.form,
+        innovation=known,
+        with_gain=bool(design.order),
+    )
 
 
 def _factors(*of: tuple[Any, ...]) -> dict[str, ca.SX]:
@@ -162,7 +223,7 @@ def _factors(*of: tuple[Any, ...]) -> dict[str, ca.SX]:
     return {
         f"{prefix}factors": packed_factors(held)
         for prefix, *held in of
-        if isinstance(held[0], Factors)
+        if held and isinstance(held[0], Factors)
     }
 
 
@@ -199,6 +260,8 @@ def _closing(design: window.Design) -> Phase:
 
     def restarted(host: dict[str, ca.SX]) -> dict[str, ca.SX]:
         own = {f"compression_{of}": ca.repmat(held, len(filters)) for of, held in host.items()}
+        if design.order:
+            own["removed_factors"] = ca.SX.zeros(design.symbols["removed_factors"].numel())
         return {"compression_deviation": ca.SX.zeros(n * len(filters)), **own}
 
     return window.closed(builder, design, verdicts, takeovers, restarted=restarted)
@@ -208,16 +271,21 @@ def _test(design: window.Design, builder: PhaseBuilder, group: int) -> Quadratic
     """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
     n, host = design.plant.nx, design.symbols["filtered_covariance"]
     _, d, P = _filters(design)[group]
-    other = P.covariance() if isinstance(P, Factors) else P
+    tolerance, weights = DIRECTION[design.spec.code.scalar], None
+    if isinstance(P, Factors):
+        removed, tolerance = _removed(design)[group], DIRECTION["double"]
+        given, weights = ca.vec(ca.densify(removed.in_rows()).T), removed.scale
+    else:
+        given = host - P
     names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
-    for name, size in zip(names, (host.numel(), n, n), strict=True):
+    for name, size in zip(names, (given.numel(), n, n), strict=True):
         builder.local(name, size, initial=0.0)
     with builder.titled(f"test of group {group}"):
         with builder.if_positive(design.symbols["collecting"][group] - 0.5):
             variances = column(diagonal(host))
-            builder.assign(dict(zip(names, (host - other, d, variances), strict=True)))
+            builder.assign(dict(zip(names, (given, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
-        return quadratic_form(builder, names, n, DIRECTION[design.spec.code.scalar], table)
+        return quadratic_form(builder, names, n, tolerance, table, weights=weights)
 
 
 def _predict(design: window.Design) -> Phase:
@@ -226,11 +294,13 @@ def _predict(design: window.Design) -> Phase:
     plant = bound(builder, design.plant, "ABQc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     filters, factors = _filters(design), {}
-    deviations = [plant.A @ d for _, d, _ in filters]
+    deviations, none = [plant.A @ d for _, d, _ in filters], (ca.SX(n, 0), ca.SX(0, 1))
     if design.order:
         state, *moved = _moved_factors(design, builder, plant, filtered)
         covariance, *covariances = (each.covariance() for each in moved)
         factors = _factors(("predicted_", moved[0]), ("predicted_compression_", *moved[1:]))
+        removed = (each.moved(plant.A, *none) for each in _removed(design))
+        factors |= _factors(("predicted_removed_", *removed))
     else:
         state, covariance, _ = propagate(builder, plant, certain(symbols["u"]), filtered)
         held = [P for _, _, P in filters if not isinstance(P, Factors)]

@@ -56,8 +56,17 @@ def soft_faults(spec: Spec) -> SoftFaults:
 class Design:
     """The host and what waits for the end of a window: what the phases are written from."""
 
-    def __init__(self, spec: Spec, ports: tuple[Port, ...], factors: tuple[Port, ...] = ()) -> None:
-        """Lay out ``ports``; ``factors`` are of covariances, of a filter that can use them."""
+    def __init__(
+        self,
+        spec: Spec,
+        ports: tuple[Port, ...],
+        factors: tuple[Port, ...] = (),
+        beside: tuple[Port, ...] = (),
+    ) -> None:
+        """Lay out ``ports``; ``factors`` are of covariances, of a filter that can use them.
+
+        What else it keeps then is ``beside`` them, 0 at the start.
+        """
         self.spec, self.soft = spec, soft_faults(spec)
         self.plant = plant_of(spec)
         own = len(triangle(self.plant.ne))
@@ -70,7 +79,7 @@ class Design:
             many=1 + max(self.counts.values(), default=0),
         )
         self.order = order_of((self.plant,)) if self.form == "ud" else ()
-        self.ports = (*factors, *ports) if self.order else ports
+        self.ports = (*factors, *beside, *ports) if self.order else ports
         self.symbols = symbols_of(spec, self.plant, self.ports)
 
     def held(self, packed: ca.SX) -> ca.SX | Factors:

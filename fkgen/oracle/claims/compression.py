@@ -30,7 +30,8 @@ OFF = 30.0
 #: So much smaller than P may pivots of P - P* be on the short record of a proof.
 FAINT = 1e3
 
-#: Share of a variance below which rounding of the scalar may be all that there is.
+#: Share of a variance below which rounding of the scalar may be all that there is, where P - P* is
+#: a difference; in factors it is that of double.
 NEGLIGIBLE = {"double": 1e-11, "float": 1e-4}
 
 
@@ -63,7 +64,7 @@ def _windows(spec: Spec, record: Record, *, off: bool = False) -> Ports:
         first=FIRST,
         test=options.test,
         reacquire=options.reacquire,
-        negligible=NEGLIGIBLE[spec.code.scalar],
+        negligible=NEGLIGIBLE["double" if spec.code.update == "ud" else spec.code.scalar],
     )
     system = _system(spec, record, off=off)
     found = ports(batch_compression(system, law, policy, record.y, record.u), "faintest")
