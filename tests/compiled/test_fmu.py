@@ -40,11 +40,11 @@ scalar = "SCALAR"
 """
 
 
-@pytest.mark.parametrize("scalar", ["double", "float"])
-def test_it_is_valid_and_gives_the_bits_of_a_run(tmp_path, scalar):
+@pytest.mark.parametrize(("fmi", "scalar"), [("2", "double"), ("3", "float"), ("3", "double")])
+def test_it_is_valid_and_gives_the_bits_of_a_run(tmp_path, fmi, scalar):
     spec, path = tmp_path / "axis.toml", tmp_path / "axis.fmu"
     spec.write_text(SPEC.replace("SCALAR", scalar), encoding="utf-8")
-    call = ["export-fmu", str(spec), "-o", str(path)]
+    call = ["export-fmu", str(spec), "--fmi", fmi, "-o", str(path)]
     assert CliRunner().invoke(main, call).exit_code == 0
     assert CliRunner().invoke(main, call).exit_code == 2  # it is there
     first = path.read_bytes()
