@@ -254,16 +254,17 @@ def generate(spec: Spec, output: Path | None, kinds: str, *, harness: bool) -> N
 @main.command("export-fmu")
 @_SPEC
 @click.option("-o", "--output", type=Path, help="File; default: the name of the filter, here.")
+@click.option("--fmi", type=click.Choice(["2", "3"]), default="2", help="Version; default 2.")
 @_FORCE
-def export_fmu(spec: Spec, output: Path | None, *, force: bool) -> None:
-    """Write the filter of SPEC as a unit for co-simulation, FMI 2.0: library and sources."""
+def export_fmu(spec: Spec, output: Path | None, fmi: str, *, force: bool) -> None:
+    """Write the filter of SPEC as a unit for co-simulation, FMI 2.0 or 3.0: library and sources."""
     from fkgen import pipeline
     from fkgen.study.records.files import refuse_targets, write_whole
     from fkgen.target.fmu import fmu
 
     path = output or Path(f"{spec.name}.fmu")
     refuse_targets(path, force=force)
-    write_whole(path, fmu(pipeline.generate(pipeline.validate(spec))), force=force)
+    write_whole(path, fmu(pipeline.generate(pipeline.validate(spec)), int(fmi)), force=force)
     click.echo(f"{path}: one step is one sample; NaN in y is a missing row")
 
 
