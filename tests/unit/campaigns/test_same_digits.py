@@ -181,6 +181,7 @@ def test_control_c_ends_the_command_with_one_line_and_the_checkpoint(spec, tmp_p
 def test_work_that_travels_is_compiled_once_for_each_kind_of_processor(
     spec, tmp_path, monkeypatch, small_blocks
 ):
+    monkeypatch.setenv("FKGEN_CACHE", str(tmp_path))  # in which no other test puts anything
     work = campaign.work_of(spec, campaign.Request(spec, 100, STEPS, 5, 0))
     data, expected = pickle.dumps(work), work.sums(range(5)).parts
     here = pickle.loads(data)  # noqa: S301 - our own
