@@ -123,7 +123,7 @@ def chain(ratio):
 
 @pytest.mark.parametrize(
     ("family", "ratio", "host"),
-    [("dfcf", 1e12, [0]), ("compression_full", 1e10, [0]), ("compression_full", 1e10, [])],
+    [("dfcf", 1e12, [0]), ("compression_full", 1e10, [1]), ("compression_full", 1e10, [])],
 )
 def test_float_keeps_it_where_a_host_takes_over_at_the_end_of_windows(family, ratio, host):
     model, y = drawn(chain(ratio), 2000, 0.2)
