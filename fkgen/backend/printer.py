@@ -223,10 +223,7 @@ class StatementPrinter:
     def _triangle(self, node: ir.Triangle) -> str:
         """A call of one of the two functions between packed symmetric matrices and whole ones."""
         whole = node.target if node.mirrored else node.source
-        first, second = (
-            self._address(replace(element, index=_first(element)))
-            for element in (node.source, node.target)
-        )
+        first, second = (self._address(_begin(element)) for element in (node.source, node.target))
         name = f"{self.name}_{'unpack' if node.mirrored else 'packed'}"
         return f"{name}({first}, {second}, {step_of(whole, 'i')}, {node.size});"
 
@@ -239,7 +236,7 @@ class StatementPrinter:
                 given += ["NULL", "0"]
                 continue
             steps = [step_of(element, variable) for variable in "ijk"]
-            given.append(self._address(replace(element, index=_first(element))))
+            given.append(self._address(_begin(element)))
             given += [str(steps["ijk".index(variable)]) for variable in variables]
             if element is not node.left and node.columns > 1 and steps[1] != 1:
                 raise InternalError(f"{self.name}: columns of {element.name} lie apart")
@@ -359,6 +356,11 @@ class Printer(StatementPrinter):
 def _first(element: Element) -> int:
     """Where an element of a product is for i = j = k = 0."""
     return int(value(element.index or 0, dict.fromkeys("ijk", 0)))
+
+
+def _begin(element: Element) -> Element:
+    """The element there; a number alone has no index."""
+    return element if element.index is None else replace(element, index=_first(element))
 
 
 def step_of(element: Element, variable: str) -> int:

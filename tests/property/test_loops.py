@@ -176,6 +176,17 @@ def test_products_of_matrices_say_what_straight_lines_say(name):
 
 
 @needs_compiler()
+@pytest.mark.parametrize("update", ["short", "joseph"])
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 1), (1, 2)])
+def test_matrices_of_one_number_go_through_loops_too(n, p, update):
+    code = {"form": "loops", "update": update}
+    spec = fkgen.Spec.from_dict(table("mkf", driven(23, n, p), RATE, code))
+    design = fkgen.validate(spec)
+    claims = *with_interpreter(design), *with_machine(fkgen.generate(design), trial(spec))
+    assert not [str(claim) for claim in claims if not claim.holds]
+
+
+@needs_compiler()
 @pytest.mark.parametrize("name", ["kf", "kf gate", "mkf"])
 def test_float_loops_give_the_bits_of_their_statements(name, rolled):
     given = SPECS[name] | {"code": {"scalar": "float"}}
