@@ -7,10 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plants import interpreted
 from toolchain import needs_compiler
 
 import fkgen
 from fkgen.cli import main
+from fkgen.errors import StepRefused
 from fkgen.estimators.hindsight import backwards
 
 pytestmark = needs_compiler()
@@ -38,19 +40,23 @@ ACTUATOR = {"actuator": {"success_rate": 0.7}}
 SENSOR = {"sensor": {"noise_factor": 9.0, "rows": [0]}}
 
 
-def built(name, model=None, family="kf", faults=None, delays=(0, 0), **options):
+def table(name, model=None, family="kf", faults=None, delays=(0, 0), code=None, **options):
     outputs = [
         signal | ({"max_delay": most} if most else {})
         for signal, most in zip(PLANT["outputs"], delays, strict=True)
     ]
-    table = {
+    return {
         "name": name,
         "model": PLANT | (model or {}) | {"outputs": outputs},
         "parameters": DT,
         "faults": faults or {},
         "filter": {"family": family, **options},
+        "code": code or {},
     }
-    return fkgen.build(fkgen.Spec.from_dict(table))
+
+
+def built(*given, **options):
+    return fkgen.build(fkgen.Spec.from_dict(table(*given, **options)))
 
 
 @pytest.fixture(scope="module")
@@ -533,6 +539,52 @@ def test_a_delay_that_is_none_refuses_its_row_and_a_missing_one_holds_the_sample
     left = np.delete(np.arange(T), 7)
     other = alone.run(missing[left], u[left], {"dt": params["dt"][left]})
     np.testing.assert_array_equal(run.filtered_state[left], other.filtered_state)
+
+
+def sample_by_sample(record, delays):
+    y, u, params = record
+    given = {"dt": params["dt"], "delay_gps": delays[:, 0] * 1.0, "delay_wheel": delays[:, 1] * 1.0}
+    return y, u, given
+
+
+def test_a_selection_of_ports_keeps_what_late_rows_need(alone, record, delays):
+    few = built("hind_few", APART, delays=(3, 2), code={"ports": ["filtered_state"]})
+    given = sample_by_sample(record, delays)
+    expected = alone.run(*given).filtered_state
+    # Without S as a port innovations are corrected another way: roundings of numbers near 1.
+    np.testing.assert_allclose(few.run(*given).filtered_state, expected, rtol=0, atol=1e-14)
+
+
+def test_late_rows_in_c_have_the_bits_of_the_interpreter(alone, record, delays):
+    y, u, given = sample_by_sample(record, delays)
+    spec = fkgen.Spec.from_dict(table("hind_alone", APART, delays=(3, 2)))
+    compiled, expected = alone.run(y, u, given), interpreted(spec, y, u, given)
+    assert set(compiled.ports) <= set(expected)
+    for port in compiled.ports:
+        if port == "log_likelihood":  # C has a logarithm of its own
+            np.testing.assert_allclose(compiled[port], expected[port], rtol=1e-14, atol=1e-14)
+        else:
+            np.testing.assert_array_equal(compiled[port], expected[port], err_msg=port)
+
+
+def test_a_refused_sample_leaves_all_that_is_kept_for_late_rows(alone, record, delays):
+    y, u, given = sample_by_sample(record, delays)
+    y = np.nan_to_num(y, nan=1.0)
+    own = {"dt": 0.1, "delay_gps": 2.0, "delay_wheel": 1.0}
+    refused = {
+        "an infinite input": ([np.inf], own),
+        "a delay between samples": ([0.0], own | {"delay_gps": 0.5}),
+        "a delay that is too long": ([0.0], own | {"delay_wheel": 3.0}),
+    }
+    alone.reset()
+    for k in range(10):
+        alone.step(y[k], u[k], {name: float(v[k]) for name, v in given.items()})
+        before = alone.snapshot().data
+        for what, (inputs, params) in refused.items():
+            with pytest.raises(StepRefused):
+                alone.update(y[k], np.array(inputs), params)
+            assert alone.snapshot().data == before, what
+    alone.reset()
 
 
 def test_the_header_says_what_late_rows_cost(alone):
