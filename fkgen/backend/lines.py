@@ -38,9 +38,21 @@ def environment() -> jinja2.Environment:
     )
 
 
+#: What generated files may be used for, as SPDX names it: anything, without conditions.
+LICENSE = "MIT-0"
+
+#: What says so, and how each kind of file remarks it.
+SPDX = f"SPDX-License-Identifier: {LICENSE}"
+_REMARKS = {
+    **dict.fromkeys(("c", "h", "hpp", "ino"), f"/* {SPDX} */\n"),
+    **dict.fromkeys(("txt", "cmake", "Kconfig"), f"# {SPDX}\n"),
+}
+
+
 def filled(template: str, context: dict[str, object]) -> str:
     """A template filled in, without gaps, blanks at the end of lines and long lines."""
-    text = environment().get_template(template).render(context)
+    kind = re.split(r"[./]", template.removesuffix(".j2"))[-1]
+    text = _REMARKS.get(kind, "") + environment().get_template(template).render(context)
     code = template.endswith((".c.j2", ".h.j2"))
     lines = [line.rstrip() for line in (guards_joined(text) if code else text).splitlines()]
     if code:

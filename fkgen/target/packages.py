@@ -14,7 +14,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from fkgen.backend.ir import Signal
-from fkgen.backend.lines import filled
+from fkgen.backend.lines import LICENSE, SPDX, filled
 from fkgen.backend.render import context_of
 from fkgen.backend.source import LARGE_STATES, Source, write_package
 from fkgen.errors import DataError, OutputError
@@ -24,6 +24,7 @@ from fkgen.version import __version__
 
 #: Where a filter in double compiles: on AVR double has 32 bits.
 _WIDE = "esp32,esp8266,mbed,mbed_nano,mbed_rp2040,renesas_uno,rp2040,sam,samd,stm32,zephyr"
+_XML = '<?xml version="1.0" encoding="UTF-8"?>'
 _ARDUINO = 63  # characters that a name of its library manager has at most
 
 
@@ -50,6 +51,11 @@ class Packing:
     def description(self) -> str:
         """One sentence."""
         return self.spec.package.description or f"{self.spec.filter.family} filter {self.name}"
+
+    @property
+    def license(self) -> str:
+        """That of the package: what the spec says, else that of generated files."""
+        return self.spec.package.license or LICENSE
 
     def need(self, *keys: str, kind: str) -> None:
         """Refuse a spec without these texts about its package."""
@@ -102,6 +108,8 @@ def packaged(spec: Spec, source: Source, kinds: Sequence[str]) -> dict[str, str]
     files: dict[str, str] = {}
     for kind in packing.kinds:
         files |= KINDS[kind](packing)
+    if packing.license == LICENSE:
+        files["LICENSE"] = packing.filled("LICENSE")
     name = packing.name
     for file, text in source.files.items():
         if file.endswith((".c", ".h")):
@@ -156,8 +164,8 @@ def _arduino(packing: Packing) -> dict[str, str]:
     lines = (f"{key}={value}" for key, value in facts.items() if value)
     words = [f"{name}_{verb}\tKEYWORD2" for verb in ("init", "step", "update", "predict")]
     return {
-        "library.properties": "\n".join([*lines, ""]),
-        "keywords.txt": "\n".join([f"{name}_t\tKEYWORD1", *words, ""]),
+        "library.properties": "\n".join([f"# {SPDX}", *lines, ""]),
+        "keywords.txt": "\n".join([f"# {SPDX}", f"{name}_t\tKEYWORD1", *words, ""]),
         f"examples/{name}/{name}.ino": packing.filled("sketch.ino"),
     }
 
@@ -172,7 +180,7 @@ def _platformio(packing: Packing) -> dict[str, str]:
         "description": packing.description,
         "keywords": ["kalman filter", "state estimation", packing.spec.filter.family],
         "authors": [{key: text for key, text in author.items() if text}],
-        **({"license": about.license} if about.license else {}),
+        "license": packing.license,
         "frameworks": "*",
         "platforms": "*",
         "headers": f"{packing.name}.h",
@@ -183,7 +191,7 @@ def _platformio(packing: Packing) -> dict[str, str]:
 
 def _zephyr(packing: Packing) -> dict[str, str]:
     name = packing.name
-    module = f"name: {name}\nbuild:\n  cmake: zephyr\n  kconfig: zephyr/Kconfig\n"
+    module = f"# {SPDX}\nname: {name}\nbuild:\n  cmake: zephyr\n  kconfig: zephyr/Kconfig\n"
     return {
         "zephyr/module.yml": module,
         "zephyr/CMakeLists.txt": packing.filled("zephyr.cmake"),
@@ -194,7 +202,8 @@ def _zephyr(packing: Packing) -> dict[str, str]:
 def _esp_idf(packing: Packing) -> dict[str, str]:
     packing.need("version", kind="esp-idf")
     about = packing.spec.package
-    lines = [f'version: "{about.version}"', f"description: {json.dumps(packing.description)}"]
+    lines = [f"# {SPDX}", f'version: "{about.version}"', f'license: "{packing.license}"']
+    lines += [f"description: {json.dumps(packing.description)}"]
     lines += [f"url: {json.dumps(about.url)}"] if about.url else []
     lines += ["dependencies:", '  idf: ">=4.4"', ""]
     return {"idf_component.yml": "\n".join(lines), **_cmake(packing)}
@@ -210,8 +219,10 @@ def _cmsis(packing: Packing) -> dict[str, str]:
         ("name", name),
         ("description", packing.description),
         ("url", about.url),
+        ("license", "LICENSE" if packing.license == LICENSE else ""),
     ):
-        ET.SubElement(root, key).text = text
+        if text or key == "url":
+            ET.SubElement(root, key).text = text
     ET.SubElement(ET.SubElement(root, "releases"), "release", version=about.version).text = name
     component = ET.SubElement(
         ET.SubElement(root, "components"),
@@ -227,7 +238,7 @@ def _cmsis(packing: Packing) -> dict[str, str]:
         ET.SubElement(files, "file", category="source", name=unit)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode", xml_declaration=False)
-    return {f"{vendor}.{name}.pdsc": f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'}
+    return {f"{vendor}.{name}.pdsc": f"{_XML}\n<!-- {SPDX} -->\n{text}\n"}
 
 
 def _mex(packing: Packing) -> dict[str, str]:

@@ -133,7 +133,7 @@ def test_the_sketch_is_compiled_for_an_arduino(package, tmp_path):
 
 def test_metadata_say_what_the_spec_says(package):
     lines = (package / "library.properties").read_text().splitlines()
-    facts = dict(line.split("=", 1) for line in lines)
+    facts = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
     required = {"name", "version", "author", "maintainer", "sentence", "paragraph", "category"}
     assert required <= facts.keys()
     assert (facts["version"], facts["architectures"]) == ("1.2.3", "*")
@@ -142,7 +142,7 @@ def test_metadata_say_what_the_spec_says(package):
     assert library["authors"] == [{"name": "Jane <Doe> & Co"}]
     assert library["build"]["flags"] == ["-ffp-contract=off"]
     component = (package / "idf_component.yml").read_text().splitlines()
-    assert component[:2] == ['version: "1.2.3"', 'description: "x & y"']
+    assert component[1:4] == ['version: "1.2.3"', 'license: "MIT-0"', 'description: "x & y"']
     (pdsc,) = package.glob("*.pdsc")
     assert pdsc.name == "Jane_Doe_Co.axis.pdsc"
     root = ET.fromstring(pdsc.read_text())  # noqa: S314 - our own
