@@ -533,10 +533,9 @@ class CProgram:
         return _flops(self.update, self.predict)
 
     @property
-    def rare_flops(self) -> int:
-        """What few samples have to do more, at most."""
-        every_phase = _operations(self.update, self.predict, rare=True)
-        return sum(n for op, n in every_phase.items() if not op.is_function) - self.flops
+    def has_rare(self) -> bool:
+        """Whether few samples have to do more than that."""
+        return any(node.rare for phase in self.phases for node in every(IfPositive, phase.body))
 
     @property
     def fused(self) -> int:

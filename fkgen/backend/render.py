@@ -25,7 +25,7 @@ from fkgen.backend.ir import (
     read,
 )
 from fkgen.backend.lanes.text import WHOLE, lanes_text
-from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
+from fkgen.backend.lines import LICENSE, filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
 from fkgen.backend.size.stack import BYTES, instance_of, stack_of
@@ -405,7 +405,7 @@ def cost(program: CProgram) -> str:
     text = [f"{program.flops} floating-point operations{joint}"]
     text += [f"{n} {function}" for function, n in _calls(program).items()]
     closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
-    closing += f"; with late rows at most {more} more" if (more := program.rare_flops) else ""
+    closing += "; more where rows come late" if program.has_rare else ""
     return " and ".join(text) + closing
 
 
@@ -461,6 +461,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "family": program.family,
         "scalar": program.scalar,
         "fkgen": __version__,
+        "license": LICENSE,
         "api": API_VERSION,
         "spec": program.digest,
         "equations": program.source,

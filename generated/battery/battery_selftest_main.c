@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* battery_selftest_main.c: exit status 0 if battery_selftest() passes on this machine. */
 #include "battery.h"
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* dc_motor_known_selftest_main.c: exit status 0 if dc_motor_known_selftest() passes on this
  * machine. */
 #include "dc_motor_known.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* fault_effect_a_selftest_main.c: exit status 0 if fault_effect_a_selftest() passes on this
  * machine. */
 #include "fault_effect_a.h"

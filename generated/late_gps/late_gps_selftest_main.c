@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* late_gps_selftest_main.c: exit status 0 if late_gps_selftest() passes on this machine. */
 #include "late_gps.h"
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* nile_selftest_main.c: exit status 0 if nile_selftest() passes on this machine. */
 #include "nile.h"
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* ship_track_selftest_main.c: exit status 0 if ship_track_selftest() passes on this machine. */
 #include "ship_track.h"
 

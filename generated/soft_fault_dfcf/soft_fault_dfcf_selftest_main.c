@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* soft_fault_dfcf_selftest_main.c: exit status 0 if soft_fault_dfcf_selftest() passes on this
  * machine. */
 #include "soft_fault_dfcf.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT-0 */
 /* wheel_drift_selftest_main.c: exit status 0 if wheel_drift_selftest() passes on this machine. */
 #include "wheel_drift.h"
 

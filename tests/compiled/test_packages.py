@@ -131,6 +131,23 @@ def test_the_sketch_is_compiled_for_an_arduino(package, tmp_path):
     run("avr-g++", *flags, "sketch.cpp", "axis.o", "-o", "sketch", folder=tmp_path)
 
 
+def test_every_file_says_what_it_may_be_used_for(package):
+    """All but JSON, which has no remarks, and texts for people."""
+    files = [each for each in package.rglob("*") if each.is_file()]
+    said = {each for each in files if "SPDX-License-Identifier: MIT-0" in each.read_text()}
+    without = {each.suffix or each.name for each in files if each not in said}
+    assert without <= {".json", ".md", "LICENSE"}
+    assert "MIT No Attribution" in (package / "LICENSE").read_text()
+    assert json.loads((package / "library.json").read_text())["license"] == "MIT-0"
+
+
+def test_a_package_with_a_licence_of_its_own_holds_no_other(tmp_path):
+    done = generate(tmp_path, SPEC + PACKAGE + 'license = "Apache-2.0"\n', "platformio", "own")
+    assert done.exit_code == 0, done.output
+    assert not (tmp_path / "own" / "LICENSE").exists()
+    assert json.loads((tmp_path / "own" / "library.json").read_text())["license"] == "Apache-2.0"
+
+
 def test_metadata_say_what_the_spec_says(package):
     lines = (package / "library.properties").read_text().splitlines()
     facts = dict(line.split("=", 1) for line in lines if not line.startswith("#"))

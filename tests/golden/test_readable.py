@@ -36,7 +36,7 @@ def text_of(name, end):
 
 def listings(header, parameters):
     """(name, value) of every matrix in the comment at the top, in order."""
-    comment = header[: header.index("*/")].replace("\n * ", "\n  ")
+    comment = header[: header.index("\n */")].replace("\n * ", "\n  ")
     found = []
     for match in re.finditer(r"^ +(\w+) = (?=\[|diag|zeros)", comment, flags=re.MULTILINE):
         depth, end = 0, match.end()
