@@ -107,7 +107,7 @@ def test_each_mode_states_the_matrices_that_differ():
     header = text_of("markov_jump", ".h")
     for index, mode in enumerate(spec.faults.jump.modes):
         part = header[header.index(f" * Mode {index}") :]
-        part = part[: part.index("\n *\n")] + "*/"
+        part = part[: part.index("\n *\n")] + "\n */"
         found = dict(listings(part, {}))
         differing = {
             letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(spec.model, letter)
