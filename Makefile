@@ -18,7 +18,7 @@ pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(
 sphinx := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m sphinx -c docs -d build/doctrees
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all floats bench firmware proofs docs docs-links lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all floats bench firmware fuzz proofs docs docs-links lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -48,6 +48,10 @@ bench: ## measure speed, next to other libraries
 firmware: ## run all examples on emulated processors and compare bits; figures as a table
 	$(setup) test
 	$(bin)/python tools/firmware.py
+
+fuzz: ## call the C of all examples with any bits in any order, under sanitizers: a minute each at most
+	$(setup) test
+	$(bin)/python tools/fuzz.py
 
 proofs: ## have Coq check the algebra of the filters, and Gappa's bound of rounding in float
 	$(setup) run

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import runpy
+import shutil
+import subprocess
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from toolchain import call, needs_compiler, run_main
 
+import fkgen
 from fkgen.cli import main
 from fkgen.study.reports.starters import starter
 
 pytestmark = needs_compiler()
+
+ROOT = Path(__file__).resolve().parents[2]
 
 #: Drawn bytes; every fourth sequence has none of the high exponents, so that more is accepted.
 DRIVER = """
@@ -39,12 +49,32 @@ int main(void)
 
 
 def test_no_call_of_a_filter_with_ranges_breaks_its_word_whatever_bits_it_is_given(tmp_path):
-    spec = Path(__file__).resolve().parents[2] / "examples" / "firmware_motor" / "spec.toml"
+    spec = ROOT / "examples" / "firmware_motor" / "spec.toml"
     out = tmp_path / "out"
     arguments = ["generate", str(spec), "--harness", "-o", str(out)]
     assert CliRunner().invoke(main, arguments).exit_code == 0
     assert "fuzz" not in (out / "CMakeLists.txt").read_text(encoding="utf-8")
     assert run_main(out, DRIVER, "motor.c", "motor_fuzz.c") == ["done"]
+
+
+@cache
+def fuzzes():
+    """Whether there is a clang that links libFuzzer."""
+    empty = "int LLVMFuzzerTestOneInput(const char *p, unsigned long n) { return !p && n; }"
+    command = ("clang", "-fsanitize=fuzzer,address", "-x", "c", "-", "-o", os.devnull)
+    if shutil.which("clang") is None:
+        return False
+    done = subprocess.run(command, input=empty, text=True, capture_output=True, check=False)
+    return done.returncode == 0
+
+
+def test_ten_thousand_sequences_of_calls_find_nothing_where_covariances_are_factors():
+    if not fuzzes():
+        pytest.skip("there is no clang with libFuzzer: apt install clang libclang-rt-14-dev")
+    one = runpy.run_path(str(ROOT / "tools" / "fuzz.py"))["one"]
+    spec = fkgen.load(ROOT / "examples" / "nile" / "spec.toml")
+    spec = replace(spec, code=replace(spec.code, update="ud"))
+    assert one(spec, 10_000, 120) == ("nile", "ud", "10,000", "")
 
 
 def test_the_harness_finds_a_refusal_that_changes_something(tmp_path):
