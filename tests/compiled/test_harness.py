@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import runpy
 import shutil
 import subprocess
+import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -61,10 +61,11 @@ def test_no_call_of_a_filter_with_ranges_breaks_its_word_whatever_bits_it_is_giv
 def fuzzes():
     """Whether there is a clang that links libFuzzer."""
     empty = "int LLVMFuzzerTestOneInput(const char *p, unsigned long n) { return !p && n; }"
-    command = ("clang", "-fsanitize=fuzzer,address", "-x", "c", "-", "-o", os.devnull)
     if shutil.which("clang") is None:
         return False
-    done = subprocess.run(command, input=empty, text=True, capture_output=True, check=False)
+    with tempfile.TemporaryDirectory() as folder:
+        command = ("clang", "-fsanitize=fuzzer,address", "-x", "c", "-", "-o", f"{folder}/empty")
+        done = subprocess.run(command, input=empty, text=True, capture_output=True, check=False)
     return done.returncode == 0
 
 
