@@ -18,7 +18,7 @@ pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(
 sphinx := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m sphinx -c docs -d build/doctrees
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all floats bench firmware fuzz proofs docs docs-links lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all floats bench alarms firmware fuzz proofs docs docs-links lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -44,6 +44,10 @@ floats: ## judge the elementary functions of float at every float there is: an h
 bench: ## measure speed, next to other libraries
 	$(setup) bench
 	$(bin)/python bench/run.py
+
+alarms: ## have Frama-C look for run-time errors in every example of at most four states
+	$(setup) run
+	$(bin)/python tools/alarms.py
 
 firmware: ## run all examples on emulated processors and compare bits; figures as a table
 	$(setup) test

@@ -42,6 +42,18 @@ def test_a_read_beyond_an_array_is_an_alarm_with_its_line():
     assert any(f"plant.c:{at} out of bounds" in claim.claim for at in range(line, line + 12))
 
 
+@needs_frama_c
+def test_a_read_of_what_a_refusal_left_unwritten_is_an_alarm():
+    source = generated(motor("kf"))
+    text = source.files["plant.c"]
+    tested = "    if (status != PLANT_OK) { return status; }\n    status = plant_propagate"
+    assert tested in text
+    careless = text.replace(tested, tested[tested.index("\n") + 1 :])
+    claim = eva.proved(replace(source, files={**source.files, "plant.c": careless}), "25.0")
+    assert not claim.holds
+    assert "uninitialized" in claim.claim
+
+
 def test_frama_c_that_is_missing_is_named_with_the_command_that_installs_it(monkeypatch):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(CompilerError, match="apt install frama-c-base"):
