@@ -22,7 +22,7 @@ from fkgen.proof.records import GENTLER, PLAIN, Gentle, samples_with_values
 from fkgen.proof.validate import digits, distance, natural_deviation, validate
 from fkgen.runtime.compiler import compile_source
 from fkgen.runtime.results import Run
-from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interface import Port, triangle
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.validated import Claim, Validated
 
@@ -168,12 +168,28 @@ def with_interpreter(design: Validated) -> tuple[Claim, ...]:
 
 def _distance(spec: Spec, run: Run, found: Mapping[str, Array], port: Port) -> float:
     expected = {name: np.asarray(values, dtype=float) for name, values in found.items()}
+    if port.name.endswith("removed_factors"):  # of rounding where nothing is removed
+        given, wanted = (
+            _squared(np.asarray(each, dtype=float), spec.model.ne)
+            for each in (run[port.name], expected[port.name])
+        )
+        return distance(given, wanted, symmetric=True)
     return distance(
         np.asarray(run[port.name], dtype=float),
         expected[port.name],
         symmetric=port.symmetric,
         deviation=natural_deviation(port.name, expected, spec.model.attitudes),
     )
+
+
+def _squared(packed: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """U D U' of factors that are packed by columns, D in place of the diagonal of U."""
+    unit, scale = np.zeros((*packed.shape[:-1], n, n)), np.zeros((*packed.shape[:-1], n))
+    for at, (j, i) in enumerate(triangle(n)):
+        unit[..., i, j] = packed[..., at] if i < j else 1.0
+        if i == j:
+            scale[..., j] = packed[..., at]
+    return (unit * scale[..., np.newaxis, :]) @ np.swapaxes(unit, -1, -2)
 
 
 def _names(ports: list[Port]) -> str:

@@ -116,10 +116,10 @@ def test_jumping_plants_are_held_to_it_as_well():
 LOST = {"noise_factor": 4.0, "problem": 3, "delta_chain": [[0.8, 0.2], [0.8, 0.2]]}
 
 
-def scalar_plant(family, faults, scalar="double", **model):
+def scalar_plant(family, faults, scalar="double", update="auto", **model):
     plant = {"A": [[-0.8]], "C": [[1.0]], "Q": [[1.0]], "R": [[1.0]], "x0": [0.0]} | model
     table = {"name": "plant", "model": plant, "faults": faults, "filter": {"family": family}}
-    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar}})
+    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar, "update": update}})
 
 
 def alternating(prior, scalar="double"):
@@ -176,6 +176,7 @@ WITHOUT_DIGITS = {
             "dfcf",
             {"soft": {"host": [0], "window": 4}},
             "float",
+            "joseph",  # factors hold these digits
             C=[[1.0], [0.5]],
             R=[[1e8, 0.0], [0.0, 1e8]],
             P0=[[1e2]],
